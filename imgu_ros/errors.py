@@ -1,0 +1,48 @@
+"""The errors of the package: one base, one class for each kind of cause.
+
+A message gives the name of the thing, what was got, and what is needed, on one line.
+"""
+
+
+class ImguError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class ShapeError(ImguError, ValueError):
+    """An array has the wrong shape, data type or content."""
+
+
+class EncodingError(ImguError, ValueError):
+    """Image data do not fit the encoding, size or row length that they claim."""
+
+
+class ParameterError(ImguError, ValueError):
+    """A parameter is unknown, has the wrong type, or lies outside its range."""
+
+
+class BagError(ImguError):
+    """A bag cannot be opened, read or written."""
+
+
+class FileError(ImguError):
+    """A file other than a bag cannot be read or written."""
+
+
+class EstimationError(ImguError):
+    """An estimator has no answer for its input; the chain turns it into a status."""
+
+
+class TooFewPoints(EstimationError):
+    """Fewer points than the model needs."""
+
+
+class DegenerateConfiguration(EstimationError):
+    """The points do not determine the model (collinear, coincident, mirrored)."""
+
+
+class NoConsensus(EstimationError):
+    """No model agrees with enough of the points."""
+
+
+class NotConverged(EstimationError):
+    """An iteration ended without reaching its tolerance."""

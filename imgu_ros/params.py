@@ -1,0 +1,349 @@
+"""Every parameter of the package, declared once.
+
+ROS descriptors, parameter files, `imgu params`, `--help` and the reference page are derived from these dataclasses.
+A group of parameters is a frozen dataclass; a parameter is a field made by `parameter`. Its full name joins the
+groups' names by dots (`homography.threshold_px`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from functools import cache
+from typing import Any, cast, get_args, get_type_hints
+
+from imgu_ros.errors import ParameterError
+
+#: What a parameter can hold: the types that ROS 2 parameters have in common with Python.
+ParameterValue = bool | int | float | str | tuple[str, ...] | tuple[float, ...] | tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """One parameter, as the rest of the world needs to know it.
+
+    `minimum` and `maximum` are inclusive and hold for every element of a list. `type_name` is ROS's
+    (`bool`, `integer`, `double`, `string`, `string_array`, `double_array`, `integer_array`).
+    """
+
+    name: str
+    type_name: str
+    default: ParameterValue
+    description: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[str, ...]
+    read_only: bool
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    """Declare one parameter as a dataclass field; see `Declaration` for the meanings."""
+    metadata = {
+        "description": description,
+        "unit": unit,
+        "minimum": minimum,
+        "maximum": maximum,
+        "choices": choices,
+        "read_only": read_only,
+    }
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, slots=True)
+class TargetsParameters:
+    images: tuple[str, ...] = parameter((), "Image files of the known flat targets; `~` and `$VARIABLES` are expanded.")
+    widths_m: tuple[float, ...] = parameter(
+        (), "Printed width of each target, outer edge to outer edge; 0 or missing: unknown, no metric pose.", unit="m", minimum=0.0, maximum=1e4
+    )
+    names: tuple[str, ...] = parameter((), "Name of each target in topics and files; default: the file's stem.")
+    poses: tuple[float, ...] = parameter(
+        (), "Pose of each target in the map, seven numbers a target: x y z (m) qx qy qz qw; for `publish_tf`."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CameraParameters:
+    rectified: bool = parameter(False, "The image is rectified: use P[:3, :3] of camera_info and no distortion.")
+
+
+@dataclass(frozen=True, slots=True)
+class FramesParameters:
+    map: str = parameter("map", "Frame in which `targets.poses` are given.")
+    target_prefix: str = parameter("", "Put before a target's name to make its frame in /tf and in odometry.")
+
+
+@dataclass(frozen=True, slots=True)
+class TfParameters:
+    root_frame: str = parameter("", "Root of the robot's tree, child of the map when `targets.poses` are given; empty: the camera's frame.")
+
+
+@dataclass(frozen=True, slots=True)
+class PathParameters:
+    max_length: int = parameter(1000, "Most poses kept in a path; the oldest go first.", minimum=1, maximum=100_000)
+
+
+@dataclass(frozen=True, slots=True)
+class DemosaicParameters:
+    method: str = parameter("bilinear", "Demosaicking method.", choices=("bilinear", "edge_aware", "malvar"))
+
+
+@dataclass(frozen=True, slots=True)
+class RawParameters:
+    black_level: float = parameter(0.0, "Raw value of no light.", minimum=0.0, maximum=65535.0)
+    white_level: float = parameter(
+        0.0, "Raw value of full scale; 0: from `raw.significant_bits`.", minimum=0.0, maximum=65535.0
+    )
+    significant_bits: int = parameter(
+        0,
+        "Bits that carry the signal in 16-bit data (10, 12, ...), right-aligned; 0: from the data, by percentiles in every frame.",
+        minimum=0,
+        maximum=16,
+    )
+    gains: tuple[float, ...] = parameter((1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", minimum=0.01, maximum=100.0)
+    bands: tuple[int, ...] = parameter((), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=63)
+
+
+@dataclass(frozen=True, slots=True)
+class PyramidParameters:
+    kind: str = parameter("fine", "`coarse`: octaves; `fine`: several scales in every octave.", choices=("coarse", "fine"))
+    kernel: str = parameter("sampled", "Gaussian kernel that smooths before subsampling.", choices=("sampled",))
+    levels: int = parameter(8, "Most levels; fewer when the image gets too small.", minimum=1, maximum=32)
+    scales_per_octave: int = parameter(3, "Levels in an octave when `pyramid.kind` is `fine`.", minimum=1, maximum=8)
+    max_side_px: int = parameter(
+        960, "Longest side of level 0: a larger image is reduced by halves before features are sought.", unit="px", minimum=64, maximum=16384
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class KeypointsParameters:
+    detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "dog", "orb"))
+    max_count: int = parameter(1000, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000)
+
+
+@dataclass(frozen=True, slots=True)
+class DescriptorParameters:
+    kind: str = parameter("orb", "Descriptor.", choices=("orb", "sift", "rootsift"))
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingParameters:
+    metric: str = parameter(
+        "auto", "Distance between descriptors; `auto`: Hamming for binary ones, Euclidean for others.",
+        choices=("auto", "euclidean", "cosine", "hamming"),
+    )
+    ratio: float = parameter(0.85, "Keep a match when best / second-best distance is below this; 1 keeps all.", minimum=0.1, maximum=1.0)
+    mutual: bool = parameter(True, "Keep a match only when each is the other's nearest.")
+
+
+@dataclass(frozen=True, slots=True)
+class HomographyParameters:
+    sampler: str = parameter("prosac", "How minimal samples are drawn.", choices=("uniform", "prosac"))
+    threshold_px: float = parameter(3.0, "Largest distance of an inlier, in pixels of the full image.", unit="px", minimum=0.1, maximum=100.0)
+    confidence: float = parameter(0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999)
+    max_iterations: int = parameter(2000, "Most samples drawn.", minimum=1, maximum=1_000_000)
+    min_inliers: int = parameter(12, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
+    error: str = parameter("sampson", "Error that the refinement minimises.", choices=("algebraic", "symmetric", "sampson"))
+    refine: str = parameter(
+        "levenberg_marquardt", "How the inliers' error is minimised.",
+        choices=("none", "gauss_newton", "levenberg_marquardt"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RefinementParameters:
+    enabled: bool = parameter(True, "Align patches of the target with the full-resolution image after detection.")
+    max_points: int = parameter(250, "Most patches aligned for each target.", minimum=16, maximum=5000)
+    window_px: int = parameter(15, "Side of an aligned patch.", unit="px", minimum=7, maximum=63)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseParameters:
+    ambiguity_ratio: float = parameter(
+        0.8, "The pose is ambiguous when best / second-best reprojection error of the two planar solutions exceeds this.", minimum=0.0, maximum=1.0
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """All parameters. The defaults serve most people: set `targets.images` and `targets.widths_m`."""
+
+    reference: str = parameter("target", "What poses refer to: known printed images.", choices=("target",), read_only=True)
+    image_transport: str = parameter("raw", "Live input: `raw` (sensor_msgs/Image) or `compressed`.", choices=("raw", "compressed"), read_only=True)
+    image_topic: str = parameter("", "Replay: the image topic; empty: the first that the chain can read.", read_only=True)
+    camera_info_topic: str = parameter("", "Replay: the camera_info topic; empty: beside the image topic.", read_only=True)
+    autostart: bool = parameter(True, "Configure and activate the node at start.", read_only=True)
+    publish_tf: bool = parameter(False, "Publish camera -> target on /tf (needs tf2_msgs).", read_only=True)
+    seed: int = parameter(0, "Seed of every random draw.", minimum=0, maximum=2**53)
+    targets: TargetsParameters = field(default_factory=TargetsParameters)
+    camera: CameraParameters = field(default_factory=CameraParameters)
+    frames: FramesParameters = field(default_factory=FramesParameters)
+    tf: TfParameters = field(default_factory=TfParameters)
+    path: PathParameters = field(default_factory=PathParameters)
+    demosaic: DemosaicParameters = field(default_factory=DemosaicParameters)
+    raw: RawParameters = field(default_factory=RawParameters)
+    pyramid: PyramidParameters = field(default_factory=PyramidParameters)
+    keypoints: KeypointsParameters = field(default_factory=KeypointsParameters)
+    descriptor: DescriptorParameters = field(default_factory=DescriptorParameters)
+    matching: MatchingParameters = field(default_factory=MatchingParameters)
+    homography: HomographyParameters = field(default_factory=HomographyParameters)
+    refinement: RefinementParameters = field(default_factory=RefinementParameters)
+    pose: PoseParameters = field(default_factory=PoseParameters)
+
+
+#: Names that the interfaces reserve and that no released chain fulfils yet: refused with the reason.
+RESERVED_CHOICES = {("reference", "keyframe"), ("reference", "rotation")}
+
+_TYPE_NAMES: dict[Any, str] = {
+    bool: "bool",
+    int: "integer",
+    float: "double",
+    str: "string",
+    tuple[str, ...]: "string_array",
+    tuple[float, ...]: "double_array",
+    tuple[int, ...]: "integer_array",
+}
+
+
+@cache
+def declarations() -> tuple[Declaration, ...]:
+    """Return every parameter, in the order of declaration."""
+    return tuple(_declarations(Parameters, ""))
+
+
+def declaration(name: str) -> Declaration:
+    """Return the parameter called `name`.
+
+    Raises
+    ------
+    ParameterError
+        If there is none; the message names the nearest known one.
+    """
+    for known in declarations():
+        if known.name == name:
+            return known
+    nearest = difflib.get_close_matches(name, [d.name for d in declarations()], n=1, cutoff=0.0)
+    raise ParameterError(f"{name}: unknown parameter; nearest known: {nearest[0]}")
+
+
+def checked_value(name: str, value: object) -> ParameterValue:
+    """Return `value` in the declared type of the parameter `name`.
+
+    An integer serves as a double, and a list or array as an array; nothing else is converted.
+
+    Raises
+    ------
+    ParameterError
+        If the name is unknown, or the value has another type or lies outside its range or choices.
+    """
+    known = declaration(name)
+    if known.type_name.endswith("_array"):
+        element = known.type_name.removesuffix("_array")
+        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
+            raise ParameterError(f"{name}: {value!r} ({type(value).__name__}); need a list of {element}s")
+        items = cast("list[Any]", list(value))
+        return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
+    return _checked_scalar(name, value, known.type_name, known)
+
+
+def parameters_from(values: Mapping[str, object], base: Parameters | None = None) -> Parameters:
+    """Return `base` (the defaults when None) with the named values replaced, all checked, one by one and together.
+
+    Raises
+    ------
+    ParameterError
+        As `checked_value`; and if parallel lists disagree.
+    """
+    result = base or Parameters()
+    for name, value in values.items():
+        result = _replaced(result, name.split("."), checked_value(name, value))
+    _check_together(result)
+    return result
+
+
+def parameter_values(parameters: Parameters) -> dict[str, ParameterValue]:
+    """Return every parameter's value by its full name, in the order of declaration."""
+    values: dict[str, ParameterValue] = {}
+    for known in declarations():
+        value: Any = parameters
+        for part in known.name.split("."):
+            value = getattr(value, part)
+        values[known.name] = value
+    return values
+
+
+def _declarations(group: type, prefix: str) -> Iterator[Declaration]:
+    hints = get_type_hints(group)
+    for item in fields(group):
+        hint = hints[item.name]
+        if is_dataclass(hint):
+            yield from _declarations(cast(type, hint), f"{prefix}{item.name}.")
+        else:
+            yield _declaration(item, hint, prefix)
+
+
+def _declaration(item: Field[Any], hint: Any, prefix: str) -> Declaration:
+    if item.default is MISSING or "description" not in item.metadata or hint not in _TYPE_NAMES:
+        raise TypeError(f"{prefix}{item.name}: declare it with parameter() and a ROS type, not {get_args(hint) or hint}")
+    return Declaration(name=f"{prefix}{item.name}", type_name=_TYPE_NAMES[hint], default=item.default, **item.metadata)
+
+
+def _checked_scalar(name: str, value: object, type_name: str, known: Declaration) -> Any:
+    if type_name == "double" and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    expected = {"bool": bool, "integer": int, "double": float, "string": str}[type_name]
+    if hasattr(value, "item") and not isinstance(value, str):  # a numpy scalar
+        value = value.item()
+    if type(value) is not expected:
+        raise ParameterError(f"{name}: {value!r} ({type(value).__name__}); need {_article(type_name)}")
+    if known.choices and value not in known.choices:
+        if (known.name, value) in RESERVED_CHOICES:
+            raise ParameterError(f"{name}: {value!r} is reserved and not available in this version; need {_listed(known.choices)}")
+        near = difflib.get_close_matches(str(value), known.choices, n=1)
+        raise ParameterError(f"{name}: {value!r}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else ""))
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        low = -math.inf if known.minimum is None else known.minimum
+        high = math.inf if known.maximum is None else known.maximum
+        if not (math.isfinite(value) and low <= value <= high):
+            raise ParameterError(f"{name}: {value!r}; need {low:g} to {high:g}{' ' + known.unit if known.unit else ''}")
+    return value
+
+
+def _article(type_name: str) -> str:
+    return {"bool": "true or false", "integer": "an integer", "double": "a number", "string": "a string"}[type_name]
+
+
+def _listed(choices: tuple[str, ...]) -> str:
+    return " or ".join(repr(c) for c in choices) if len(choices) < 3 else "one of " + ", ".join(choices)
+
+
+def _replaced(group: Any, path: list[str], value: ParameterValue) -> Any:
+    if len(path) > 1:
+        return replace(group, **{path[0]: _replaced(getattr(group, path[0]), path[1:], value)})
+    return replace(group, **{path[0]: value})
+
+
+def _check_together(parameters: Parameters) -> None:
+    targets = parameters.targets
+    count = len(targets.images)
+    for name, got in (("widths_m", len(targets.widths_m)), ("names", len(targets.names)), ("poses", len(targets.poses) / 7)):
+        if got not in (0, count):
+            need = f"none, or {count * 7 if name == 'poses' else count}: {'seven' if name == 'poses' else 'one'} for each of targets.images"
+            raise ParameterError(f"targets.{name}: {len(getattr(targets, name))} values; need {need}")
+    if len(parameters.raw.gains) != 3:
+        raise ParameterError(f"raw.gains: {len(parameters.raw.gains)} values; need 3 (red, green, blue)")
+    if 0 < parameters.raw.white_level <= parameters.raw.black_level:
+        raise ParameterError(
+            f"raw.white_level: {parameters.raw.white_level:g}; need more than raw.black_level ({parameters.raw.black_level:g})"
+        )

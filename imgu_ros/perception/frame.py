@@ -1,0 +1,26 @@
+"""What goes into the chain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.formation.layout import RawImage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One raw image with the camera that took it.
+
+    Attributes
+    ----------
+    image : the raw pixels and their layout
+    stamp_ns : time of exposure, as the header says, in nanoseconds
+    frame_id : the camera's optical frame
+    camera : intrinsics; None when the camera is not calibrated
+    """
+
+    image: RawImage
+    stamp_ns: int
+    frame_id: str
+    camera: Camera | None

@@ -1,0 +1,112 @@
+"""Array aliases and the shape checks that every public function starts with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imgu_ros.errors import ShapeError
+
+#: An image, (H, W) or (H, W, C); uint8, uint16 or float32.
+Image = NDArray[Any]
+#: A mask, (H, W) or (N,), bool.
+Mask = NDArray[np.bool_]
+#: Points, (N, 2) float64, x right, y down, pixel centres at integers.
+Points = NDArray[np.float64]
+#: Any float64 array; the docstring gives its shape.
+Floats = NDArray[np.float64]
+#: A 3x3 float64 matrix.
+Matrix3 = NDArray[np.float64]
+#: Indices, (N,) intp.
+Indices = NDArray[np.intp]
+
+IMAGE_DTYPES = (np.uint8, np.uint16, np.float32)
+
+
+def as_points(points: ArrayLike, name: str = "points", minimum: int = 0) -> Points:
+    """Return `points` as a finite float64 array of shape (N, 2) with N >= `minimum`.
+
+    Raises
+    ------
+    ShapeError
+        If the shape is not (N, 2), N < `minimum`, or a value is not finite.
+    """
+    return as_rows(points, 2, name, minimum)
+
+
+def as_rows(rows: ArrayLike, columns: int, name: str, minimum: int = 0) -> Floats:
+    """Return `rows` as a finite float64 array of shape (N, columns) with N >= `minimum`.
+
+    Raises
+    ------
+    ShapeError
+        If it cannot be converted, has another shape, or holds NaN or infinity.
+    """
+    array = _as_float64(rows, name)
+    if array.ndim != 2 or array.shape[1] != columns or len(array) < minimum:
+        raise ShapeError(f"{name}: shape {array.shape}; need (N >= {minimum}, {columns})")
+    return _finite(array, name)
+
+
+def as_matrix(matrix: ArrayLike, shape: Sequence[int], name: str) -> Floats:
+    """Return `matrix` as a finite float64 array of exactly `shape`.
+
+    Raises
+    ------
+    ShapeError
+        If it cannot be converted, has another shape, or holds NaN or infinity.
+    """
+    array = _as_float64(matrix, name)
+    if array.shape != tuple(shape):
+        raise ShapeError(f"{name}: shape {array.shape}; need {tuple(shape)}")
+    return _finite(array, name)
+
+
+def as_image(
+    image: Image,
+    name: str = "image",
+    channels: Sequence[int] = (1,),
+    dtypes: Sequence[type] = IMAGE_DTYPES,
+) -> Image:
+    """Check an image and return it, C-contiguous and in native byte order.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, C)
+    channels : allowed channel counts; 1 stands for a two-dimensional array.
+    dtypes : allowed data types.
+
+    Raises
+    ------
+    ShapeError
+        If it is not an array, is empty, or has another data type or channel count.
+    """
+    if not isinstance(image, np.ndarray):
+        raise ShapeError(f"{name}: {type(image).__name__}; need a numpy array")
+    count = 1 if image.ndim == 2 else image.shape[2] if image.ndim == 3 else 0
+    if count not in channels or (image.ndim == 3 and count == 1):
+        allowed = " or ".join("(H, W)" if c == 1 else f"(H, W, {c})" for c in channels)
+        raise ShapeError(f"{name}: shape {image.shape}; need {allowed}")
+    if image.size == 0:
+        raise ShapeError(f"{name}: shape {image.shape}; need at least one pixel")
+    if image.dtype.newbyteorder("=") not in [np.dtype(d) for d in dtypes]:
+        allowed = ", ".join(np.dtype(d).name for d in dtypes)
+        raise ShapeError(f"{name}: data type {image.dtype}; need {allowed}")
+    # OpenCV reads a big-endian array as if it were native, and says nothing.
+    return np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
+
+
+def _as_float64(values: ArrayLike, name: str) -> Floats:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: {error}; need numbers") from None
+
+
+def _finite(array: Floats, name: str) -> Floats:
+    if not np.isfinite(array).all():
+        raise ShapeError(f"{name}: {np.count_nonzero(~np.isfinite(array))} values are not finite; need finite numbers")
+    return array

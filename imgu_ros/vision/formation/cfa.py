@@ -1,0 +1,55 @@
+"""Bayer colour filter arrays: which colour a sensor site measures (notes 1.2.2; Bayer, US patent 3971065)."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Image, as_image
+
+
+class BayerPattern(StrEnum):
+    """The colours of the top-left 2x2 quad, in reading order, as ROS names them."""
+
+    RGGB = "rggb"
+    BGGR = "bggr"
+    GRBG = "grbg"
+    GBRG = "gbrg"
+
+    def shifted(self, rows: int, columns: int) -> BayerPattern:
+        """Return the pattern of the mosaic with that many rows and columns cropped from the top left."""
+        quad = [self.value[0:2], self.value[2:4]]
+        return BayerPattern("".join(quad[(r + rows) % 2][(c + columns) % 2] for r in (0, 1) for c in (0, 1)))
+
+
+def mosaic(rgb: Image, pattern: BayerPattern) -> Image:
+    """Sample an RGB image through a Bayer colour filter array.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8, uint16 or float32
+    pattern : colours of the top-left quad
+
+    Returns
+    -------
+    (H, W) of the same data type
+    """
+    rgb = as_image(rgb, "rgb", channels=(3,))
+    out = np.empty(rgb.shape[:2], rgb.dtype)
+    for index, color in enumerate(BayerPattern(pattern).value):
+        row, column = divmod(index, 2)
+        out[row::2, column::2] = rgb[row::2, column::2, "rgb".index(color)]
+    return out
+
+
+def site_mask(shape: tuple[int, int], pattern: BayerPattern, color: str) -> Image:
+    """Return the (H, W) bool mask of the sites that measure `color` ("r", "g" or "b")."""
+    if color not in ("r", "g", "b"):
+        raise ShapeError(f"color: {color!r}; need 'r', 'g' or 'b'")
+    out = np.zeros(shape, bool)
+    for index, site in enumerate(BayerPattern(pattern).value):
+        row, column = divmod(index, 2)
+        out[row::2, column::2] = site == color
+    return out
