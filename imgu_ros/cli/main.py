@@ -1,0 +1,151 @@
+"""The `imgu` command: finds the subcommand, runs it, and turns its errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+from typing import NoReturn
+
+from imgu_ros.errors import ImguError
+
+#: Every command and the module that does it. A module has `HELP`, `add_arguments(parser)` and `run(arguments)`,
+#: and imports nothing heavy before `run`.
+COMMANDS = {
+    "demo": "imgu_ros.cli.demo",
+    "simulate": "imgu_ros.cli.simulate",
+    "replay": "imgu_ros.cli.replay",
+    "play": "imgu_ros.cli.play",
+    "node": "imgu_ros.cli.node",
+    "match": "imgu_ros.cli.match",
+    "demosaic": "imgu_ros.cli.demosaic",
+    "params": "imgu_ros.cli.params",
+}
+
+#: Top-level modules that come with the `ros` extra.
+ROS_MODULES = ("rclpy", "rcl_interfaces", "sensor_msgs", "geometry_msgs", "nav_msgs", "std_msgs", "std_srvs")
+
+OK, FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the `imgu` command and return its exit code.
+
+    Parameters
+    ----------
+    argv : arguments without the program's name; those of the process when None
+
+    Returns
+    -------
+    0 on success, 1 on a failure that one line on stderr explains, 2 on wrong usage, 130 after Ctrl-C,
+    141 when the reader of the output went away (as if by SIGPIPE)
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+        return code
+    except ImguError as error:
+        return _failed(str(error))
+    except KeyboardInterrupt:
+        print("imgu: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # What is still buffered would raise again when the interpreter flushes stdout at exit.
+        _discard_stdout()
+        return BROKEN_PIPE
+    except ImportError as error:
+        if not _is_of_ros(error):
+            raise
+        return _failed(f'{error.name or "rclpy"}: cannot be imported; need the ros extra: pip install "imgu_ros[ros]"')
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return _failed(f"{os.fsdecode(error.filename)}: {error.strerror}")
+
+
+def _run(arguments: list[str]) -> int:
+    name = next((a for a in arguments if not a.startswith("-")), None)
+    if name is not None and arguments[0] == name:
+        if name not in COMMANDS:
+            return _unknown_command(name)
+        # Only the module that is asked for is imported.
+        module = importlib.import_module(COMMANDS[name])
+        parser = argparse.ArgumentParser(
+            prog=f"imgu {name}",
+            description=module.__doc__ or module.HELP,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        module.add_arguments(parser)
+        return _parsed_and_run(module, parser, arguments[1:])
+    return _top_level(arguments)
+
+
+def _parsed_and_run(module: ModuleType, parser: argparse.ArgumentParser, arguments: list[str]) -> int:
+    try:
+        parsed = parser.parse_args(arguments)
+    except SystemExit as stop:  # argparse has printed its help or its complaint
+        return int(stop.code or 0)
+    return int(module.run(parsed))
+
+
+def _top_level(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(
+        prog="imgu",
+        description="From raw Bayer frames to metric camera poses: live, from bags, and from files.",
+        epilog="`imgu COMMAND --help` describes a command.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    for name, module_name in COMMANDS.items():
+        commands.add_parser(name, help=importlib.import_module(module_name).HELP)
+    try:
+        parsed = parser.parse_args(arguments)
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    if parsed.version:
+        from imgu_ros.report.versions import package_version
+
+        print(f"imgu_ros {package_version()}")
+        return OK
+    parser.print_help(sys.stderr)
+    return USAGE
+
+
+def _unknown_command(name: str) -> int:
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    print(f"imgu: error: {name!r} is no command{hint}; need one of {', '.join(COMMANDS)}", file=sys.stderr)
+    return USAGE
+
+
+def _failed(reason: str) -> int:
+    print(f"imgu: error: {' '.join(reason.split())}", file=sys.stderr)
+    return FAILED
+
+
+def _is_of_ros(error: ImportError) -> bool:
+    module = (error.name or "").partition(".")[0]
+    # Without the extra's middleware rclpy is there, but the import fails on its library.
+    return module in ROS_MODULES or "rmw" in str(error) or "rclpy" in str(error)
+
+
+def _discard_stdout() -> None:
+    with contextlib.suppress(OSError, ValueError):  # stdout may be no file (a test captures it)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def entry_point() -> NoReturn:
+    """What the installed `imgu` script calls."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    entry_point()

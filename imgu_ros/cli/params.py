@@ -1,0 +1,63 @@
+"""List every parameter: name, type, default, range or choices, unit, description."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+
+from imgu_ros.params import Declaration, declarations
+
+HELP = "list every parameter, or print a ready parameter file"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("--yaml", action="store_true", help="print a ROS 2 parameter file with the defaults")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="only these parameters, or groups (`homography`)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the parameters."""
+    if arguments.yaml:
+        from imgu_ros.files.parameter_files import parameter_file_text
+
+        print(parameter_file_text(), end="")
+        return 0
+    chosen = [known for known in declarations() if _is_asked_for(known.name, arguments.names)]
+    for asked in arguments.names:
+        if not any(_is_asked_for(known.name, [asked]) for known in chosen):
+            from imgu_ros.params import declaration
+
+            declaration(asked)  # raises, and names the nearest known one
+    for known in chosen:
+        print(described(known))
+    return 0
+
+
+def described(known: Declaration) -> str:
+    """Return one parameter as two indented lines of text."""
+    notes = [known.type_name, f"default {_value(known.default)}"]
+    if known.choices:
+        notes.append("one of " + ", ".join(known.choices))
+    if known.minimum is not None or known.maximum is not None:
+        low = "-inf" if known.minimum is None else f"{known.minimum:.10g}"
+        high = "inf" if known.maximum is None else f"{known.maximum:.10g}"
+        notes.append(f"{low} to {high}{' ' + known.unit if known.unit else ''}")
+    elif known.unit:
+        notes.append(known.unit)
+    if known.read_only:
+        notes.append("read-only while running")
+    text = textwrap.indent(textwrap.fill(known.description, 96), "    ")
+    return f"{known.name}\n    {'; '.join(notes)}\n{text}\n"
+
+
+def _is_asked_for(name: str, asked: list[str]) -> bool:
+    return not asked or any(name == one or name.startswith(f"{one}.") for one in asked)
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    return repr(value).replace("'", '"')
