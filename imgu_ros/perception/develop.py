@@ -1,0 +1,124 @@
+"""From raw pixels to the grey picture that the chain works on, and to colour for those who ask."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.params import DemosaicParameters, RawParameters
+from imgu_ros.types import Image
+from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
+from imgu_ros.vision.formation.layout import ColorModel, RawImage
+from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
+
+_TO_RGB = {
+    ColorModel.MONO: cv2.COLOR_GRAY2RGB,
+    ColorModel.BGR: cv2.COLOR_BGR2RGB,
+    ColorModel.RGBA: cv2.COLOR_RGBA2RGB,
+    ColorModel.BGRA: cv2.COLOR_BGRA2RGB,
+    ColorModel.UYVY: cv2.COLOR_YUV2RGB_UYVY,
+    ColorModel.YUYV: cv2.COLOR_YUV2RGB_YUY2,
+}
+_TO_GREY = {
+    ColorModel.RGB: cv2.COLOR_RGB2GRAY,
+    ColorModel.BGR: cv2.COLOR_BGR2GRAY,
+    ColorModel.RGBA: cv2.COLOR_RGBA2GRAY,
+    ColorModel.BGRA: cv2.COLOR_BGRA2GRAY,
+    ColorModel.UYVY: cv2.COLOR_YUV2GRAY_UYVY,
+    ColorModel.YUYV: cv2.COLOR_YUV2GRAY_YUY2,
+}
+
+
+class Developed:
+    """A frame's pictures.
+
+    Attributes
+    ----------
+    grey : (H, W) uint8, full resolution
+    """
+
+    def __init__(self, image: RawImage, raw: RawParameters, method: DemosaicMethod) -> None:
+        self._image = image
+        self._raw = raw
+        self._method = method
+        self._color: Image | None = None
+        self.grey: Image = self._developed_grey()
+
+    def color(self) -> Image:
+        """Return the colour picture, (H, W, 3) RGB, uint8 or uint16; made on the first call, then kept.
+
+        N-band images and greys become a grey RGB picture.
+        """
+        if self._color is None:
+            self._color = self._developed_color()
+        return self._color
+
+    def _developed_grey(self) -> Image:
+        pixels, layout = self._image.pixels, self._image.layout
+        if layout.color is ColorModel.BAYER and layout.pattern is not None:
+            balanced = with_levels(pixels, layout.pattern, 0.0, 0.0, self._raw.gains)
+            if self._method is DemosaicMethod.BILINEAR:
+                grey = grey_from_mosaic(balanced, layout.pattern)
+            else:
+                grey = cv2.cvtColor(demosaic(balanced, layout.pattern, self._method), cv2.COLOR_RGB2GRAY)
+        elif layout.color is ColorModel.BANDS:
+            grey = self._mean_of_bands()
+        elif layout.color is ColorModel.ARGB:
+            grey = cv2.cvtColor(np.ascontiguousarray(pixels[..., 1:]), cv2.COLOR_RGB2GRAY)
+        elif layout.color is ColorModel.MONO:
+            grey = np.ascontiguousarray(pixels)
+        else:
+            grey = cv2.cvtColor(np.ascontiguousarray(pixels), _TO_GREY[layout.color])
+        return stretched_to_8_bit(grey, self._raw.black_level, self._white_level())
+
+    def _developed_color(self) -> Image:
+        pixels, layout = self._image.pixels, self._image.layout
+        if layout.color is ColorModel.BAYER and layout.pattern is not None:
+            # Black and white level are applied only where they are known: colours keep the input's depth.
+            leveled = with_levels(
+                pixels, layout.pattern, self._raw.black_level, self._white_level() or 0.0, self._raw.gains
+            )
+            return demosaic(leveled, layout.pattern, self._method)
+        if layout.color is ColorModel.BANDS:
+            return cv2.cvtColor(self.grey, cv2.COLOR_GRAY2RGB)
+        if layout.color is ColorModel.RGB:
+            return np.ascontiguousarray(pixels)
+        if layout.color is ColorModel.ARGB:
+            return np.ascontiguousarray(pixels[..., 1:])
+        return cv2.cvtColor(np.ascontiguousarray(pixels), _TO_RGB[layout.color])
+
+    def _mean_of_bands(self) -> Image:
+        pixels = self._image.pixels
+        if pixels.ndim == 2:
+            pixels = pixels[:, :, None]
+        chosen = list(self._raw.bands) or list(range(pixels.shape[2]))
+        if max(chosen) >= pixels.shape[2]:
+            raise ShapeError(f"raw.bands: {max(chosen)}; need 0 to {pixels.shape[2] - 1} (the image's bands)")
+        if len(chosen) == 1 and pixels.dtype in (np.uint8, np.uint16):
+            return np.ascontiguousarray(pixels[:, :, chosen[0]])
+        mean = np.mean(pixels[:, :, chosen], axis=2, dtype=np.float64)
+        return np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+
+    def _white_level(self) -> float | None:
+        """The raw value of full scale, or None when the data are to tell."""
+        if self._raw.white_level > 0:
+            return self._raw.white_level
+        if self._image.pixels.dtype == np.uint16 and self._raw.significant_bits > 0:
+            return float(2**self._raw.significant_bits - 1)
+        return 255.0 if self._image.pixels.dtype == np.uint8 else None
+
+
+def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameters) -> Developed:
+    """Make the grey picture of a raw image; colour follows on demand.
+
+    8-bit input keeps its values unless black or white level are set. Deeper input is brought to 8 bits between
+    black and white level where they are known, else between percentiles of this frame, which also is the
+    automatic gain of infrared pictures (notes 1.2.4).
+
+    Raises
+    ------
+    ShapeError
+        If the pixels do not fit their layout or `raw.bands` names a band that the image lacks.
+    """
+    return Developed(image, raw, DemosaicMethod(demosaicking.method))

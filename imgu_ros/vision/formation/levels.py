@@ -1,0 +1,78 @@
+"""Black level, white level and gains of raw data; the step to 8 bits (notes 1.1.6, 1.2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from imgu_ros.types import Image, as_image
+from imgu_ros.vision.formation.cfa import BayerPattern
+
+#: Share of pixels that may be darker than black, and brighter than white, when the data set the range.
+_TAIL = 0.002
+_SAMPLES = 1 << 16
+
+
+def with_levels(
+    raw: Image, pattern: BayerPattern, black: float, white: float, gains: Sequence[float] = (1.0, 1.0, 1.0)
+) -> Image:
+    """Subtract the black level of a mosaic, scale white to full scale, and apply white-balance gains.
+
+    Parameters
+    ----------
+    raw : (H, W) uint8 or uint16
+    pattern : colours of the top-left quad
+    black : raw value of no light
+    white : raw value of full scale, > black; 0: the data type's largest value
+    gains : of red, green and blue
+
+    Returns
+    -------
+    (H, W) of the same data type, rounded and clamped; the input itself when there is nothing to do.
+    """
+    raw = as_image(raw, "raw", dtypes=(np.uint8, np.uint16))
+    top = float(np.iinfo(raw.dtype).max)
+    factors = [g * top / ((white or top) - black) for g in gains]
+    if black == 0 and all(f == 1.0 for f in factors):
+        return raw
+    out = np.empty_like(raw)
+    for index, color in enumerate(BayerPattern(pattern).value):
+        row, column = divmod(index, 2)
+        site = np.ascontiguousarray(raw[row::2, column::2])
+        if site.size:
+            factor = factors["rgb".index(color)]
+            out[row::2, column::2] = _scaled(site, factor, -black * factor, raw.dtype)
+    return out
+
+
+def stretched_to_8_bit(grey: Image, black: float, white: float | None) -> Image:
+    """Bring a grey image to uint8.
+
+    Parameters
+    ----------
+    grey : (H, W) uint8, uint16 or float32
+    black, white : values that become 0 and 255; white None: both ends from the image's own percentiles
+
+    Returns
+    -------
+    (H, W) uint8; an image without contrast becomes 0.
+    """
+    grey = as_image(grey, "grey")
+    if white is None:
+        step = max(1, int(np.sqrt(grey.size / _SAMPLES)))
+        low, high = np.quantile(grey[::step, ::step], (_TAIL, 1 - _TAIL))
+        black, white = float(low), float(high)
+        if white <= black:
+            return np.zeros(grey.shape, np.uint8)
+    if grey.dtype == np.uint8 and black == 0 and white == 255:
+        return grey
+    factor = 255 / (white - black)
+    return _scaled(grey, factor, -black * factor, np.dtype(np.uint8))
+
+
+def _scaled(image: Image, factor: float, offset: float, dtype: np.dtype[np.generic]) -> Image:
+    depth = cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
+    # Adds, rounds and saturates in one pass (convertScaleAbs would fold negative values back).
+    return cv2.addWeighted(image, factor, image, 0.0, offset, dtype=depth)

@@ -1,0 +1,37 @@
+"""Gaussian smoothing (notes 2.2.4, 3.3.1)."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Image, as_image
+
+
+def smooth(image: Image, sigma: float) -> Image:
+    """Convolve with a sampled Gaussian, borders reflected.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3), uint8, uint16 or float32
+    sigma : px, >= 0; the kernel reaches 4 sigma
+
+    Returns
+    -------
+    Same shape and data type.
+
+    Raises
+    ------
+    ShapeError
+        If `image` is not such an image or sigma is negative or not finite.
+    """
+    image = as_image(image, channels=(1, 3))
+    if not (math.isfinite(sigma) and sigma >= 0):
+        raise ShapeError(f"sigma: {sigma!r}; need a finite number >= 0")
+    if sigma == 0:
+        return image
+    size = 2 * math.ceil(4 * sigma) + 1 if image.dtype != np.uint8 else 2 * math.ceil(3 * sigma) + 1
+    return cv2.GaussianBlur(image, (size, size), sigma, sigma, cv2.BORDER_REFLECT_101)
