@@ -1,0 +1,123 @@
+"""`frames.csv`: a row for every input frame and target, every number written so that it reads back the same."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from imgu_ros.errors import FileError
+from imgu_ros.perception.result import Result, Stage, Status, TargetResult
+from imgu_ros.types import Floats
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rotation import quaternion_from_rotation
+
+_IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status")
+_COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px")
+H_COLUMNS = tuple(f"h{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
+T_COLUMNS = ("tx", "ty", "tz")
+Q_COLUMNS = ("qx", "qy", "qz", "qw")
+C_COLUMNS = tuple(f"c{row}{column}" for row in range(1, 7) for column in range(1, 7))
+TIME_COLUMNS = ("t_total_ms", *(f"t_{stage.value}_ms" for stage in Stage))
+
+#: The columns, in order.
+COLUMNS = (*_IDENTITY, *_COUNTS, *H_COLUMNS, *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS, "ambiguity", *TIME_COLUMNS)
+
+
+class FramesWriter:
+    """Writes `frames.csv`; a context manager.
+
+    Parameters
+    ----------
+    path : the file, replaced when it exists
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = path.open("w", newline="", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow(COLUMNS)
+
+    def __enter__(self) -> FramesWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def write(self, result: Result) -> None:
+        """Write one row for each target of `result`."""
+        for target in result.targets:
+            self._writer.writerow(_row(result, target))
+
+    def write_rejected(self, stamp_ns: int, frame_id: str, target: str) -> None:
+        """Write the row of a frame that could not be read: its header is all that is known."""
+        row = [str(stamp_ns), frame_id, target, Status.REJECTED.value]
+        self._writer.writerow(row + [""] * (len(COLUMNS) - len(row)))
+
+
+def read_rows(path: Path) -> Iterator[dict[str, str]]:
+    """Yield the rows of a `frames.csv`, as text by column.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read or its columns are not those of `COLUMNS`.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                raise FileError(f"{path}: columns {list(reader.fieldnames or ())[:4]}...; need those of frames.csv")
+            yield from reader
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"{path}: {error}; need a frames.csv") from None
+
+
+def _row(result: Result, target: TargetResult) -> list[str]:
+    matches, estimate, pose = target.matches, target.homography, target.pose
+    row = [
+        str(result.frame.stamp_ns),
+        result.frame.frame_id,
+        target.name,
+        target.status.value,
+        target.pose_status.value,
+        _text(None if result.keypoints is None else len(result.keypoints)),
+        _text(None if matches is None else len(matches.matches)),
+        _text(None if estimate is None else int(np.count_nonzero(estimate.inliers))),
+        _text(None if estimate is None else estimate.rms_px),
+        *_texts(None if estimate is None else estimate.H, 9),
+        *_texts(None if pose is None else pose_numbers(pose), 7),
+        *_texts(None if pose is None else pose.covariance, 36),
+        _text(target.ambiguity),
+        _milliseconds(result.total_ns or None),
+    ]
+    times = result.times_ns or {}
+    return row + [_milliseconds(times.get(stage)) for stage in Stage]
+
+
+def pose_numbers(pose: Pose) -> Floats:
+    """Return a pose as (7,): tx ty tz (m), qx qy qz qw (qw >= 0)."""
+    return np.concatenate((pose.t, quaternion_from_rotation(pose.R)))
+
+
+def _texts(values: Floats | None, count: int) -> list[str]:
+    return [""] * count if values is None else [_text(value) for value in values.ravel()]
+
+
+def _text(value: Any) -> str:
+    """Return the shortest text that reads back as the same number; nothing for what is unknown."""
+    if value is None:
+        return ""
+    return repr(value) if isinstance(value, int) else repr(float(value))
+
+
+def _milliseconds(duration_ns: int | None) -> str:
+    return "" if duration_ns is None else repr(duration_ns / 1e6)
