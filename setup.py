@@ -1,0 +1,73 @@
+"""The package for pip and for colcon (ament_python). Name, version and description come from package.xml."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+MANIFEST = ElementTree.parse(Path(__file__).resolve().parent / "package.xml").getroot()
+NAME = MANIFEST.findtext("name")
+
+
+def shared(folder: str) -> list[tuple[str, list[str]]]:
+    """Return what setuptools calls data files: everything in `folder`, for share/imgu_ros/`folder`."""
+    files = sorted(str(path) for path in Path(folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    folders = sorted({str(Path(file).parent) for file in files})
+    return [(f"share/{NAME}/{parent}", [f for f in files if str(Path(f).parent) == parent]) for parent in folders]
+
+
+setup(
+    name=NAME,
+    version=MANIFEST.findtext("version"),
+    description=MANIFEST.findtext("description"),
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    maintainer=MANIFEST.findtext("maintainer"),
+    maintainer_email=MANIFEST.find("maintainer").get("email"),
+    license="Apache-2.0",
+    license_files=["LICENSE"],
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={"": ["py.typed", "*.xml", "templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *shared("config"),
+        *shared("launch"),
+    ],
+    entry_points={"console_scripts": ["imgu = imgu_ros.cli.main:main"]},
+    zip_safe=False,
+    install_requires=[
+        "jinja2>=3.1",
+        "matplotlib>=3.6",
+        "numpy>=1.26",
+        "opencv-python-headless>=4.6",
+        "PyYAML>=6.0",
+        "rosbags>=0.11",
+        "scipy>=1.11",
+        "tqdm>=4.66",
+    ],
+    extras_require={
+        # Wheels for x86-64 Linux; elsewhere ROS 2 Jazzy comes from apt (README.md). Without `fastrtps` there is no
+        # middleware, and importing rclpy fails.
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "test": [
+            "hypothesis>=6.98",
+            "mypy>=1.11",
+            "pytest>=7.4",
+            "pytest-timeout>=2.2",
+            "ruff>=0.6",
+            "types-PyYAML",
+            "types-tqdm",
+        ],
+    },
+    classifiers=[
+        "Intended Audience :: Developers",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Topic :: Scientific/Engineering :: Image Recognition",
+        "Typing :: Typed",
+    ],
+)
