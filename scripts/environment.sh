@@ -24,7 +24,7 @@ make_environment() {
     PYTHON=$folder/bin/python
     # The key of an environment with more extras serves those that need fewer.
     local key wanted have
-    key=$(cat "$constraints" "$ROOT"/{setup.py,setup.cfg,package.xml,scripts/environment.sh} | sha256sum | cut -d' ' -f1)
+    key=$(_installed_files "$constraints" | sort | xargs -d '\n' cat | sha256sum | cut -d' ' -f1)
     wanted="$key $folder"
     if _is_ready "$folder" "$wanted" "$extras"; then return; fi
 
@@ -65,6 +65,12 @@ available_extras() {
         echo "${0##*/}: no ROS wheels for $(uname -sm): the tests that need rclpy will be skipped" >&2
         sed -E 's/(^|,)ros(,|$)/\1/; s/,$//' <<<"$1"
     fi
+}
+
+# What is copied or acted upon at installation; the modules themselves are used from where they are.
+_installed_files() {
+    printf '%s\n' "$1" "$ROOT"/{setup.py,setup.cfg,package.xml,scripts/environment.sh}
+    find "$ROOT/config" "$ROOT/launch" -type f ! -name '*.pyc' 2>/dev/null || true
 }
 
 _is_ready() {
