@@ -1,0 +1,87 @@
+"""Descriptors at keypoints of a pyramid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Image, Indices
+from imgu_ros.vision.descriptors.described import Described
+from imgu_ros.vision.descriptors.orb import describe_orb
+from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
+from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
+from imgu_ros.vision.scale_space.pyramid import Pyramid
+
+
+class DescriptorKind(StrEnum):
+    """Descriptors."""
+
+    ORB = "orb"
+    SIFT = "sift"
+    ROOTSIFT = "rootsift"
+
+    @property
+    def is_binary(self) -> bool:
+        """Whether bits are compared (uint8 rows) rather than numbers (float32 rows)."""
+        return self is DescriptorKind.ORB
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Descriptions:
+    """Descriptors with the keypoints that they describe.
+
+    Attributes
+    ----------
+    keypoints : those that could be described, N of them
+    descriptors : (N, 32) uint8 for orb, (N, 128) float32 for sift and rootsift
+    """
+
+    keypoints: Keypoints
+    descriptors: Image
+
+
+def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str = DescriptorKind.ORB) -> Descriptions:
+    """Describe keypoints, each on the level of the pyramid that fits its scale; those too near a border are dropped.
+
+    Parameters
+    ----------
+    pyramid : of the (H, W) uint8 image that the keypoints were found on
+    keypoints : in full-resolution coordinates
+    kind : orb, sift or rootsift
+
+    Raises
+    ------
+    ShapeError
+        If a keypoint names a level that the pyramid lacks.
+    """
+    kind = DescriptorKind(kind)
+    if len(keypoints) and not 0 <= int(keypoints.octave.min()) <= int(keypoints.octave.max()) < len(pyramid.levels):
+        raise ShapeError(f"keypoints.octave: up to {keypoints.octave.max()}; need 0 to {len(pyramid.levels) - 1}")
+    rows: list[Image] = []
+    kept: list[Indices] = []
+    for index, level in enumerate(pyramid.levels):
+        chosen = np.flatnonzero(keypoints.octave == index)
+        if not len(chosen):
+            continue
+        described = _DESCRIBERS[kind](level.image, on_level(keypoints.chosen(chosen), level))
+        rows.append(described.descriptors)
+        kept.append(chosen[described.index])
+    if not rows:
+        return Descriptions(keypoints.chosen(np.zeros(0, np.intp)), empty_descriptors(kind))
+    return Descriptions(keypoints.chosen(np.concatenate(kept)), np.concatenate(rows))
+
+
+def empty_descriptors(kind: DescriptorKind | str) -> Image:
+    """Return no descriptors, (0, 32) uint8 or (0, 128) float32."""
+    return np.zeros((0, 32), np.uint8) if DescriptorKind(kind).is_binary else np.zeros((0, 128), np.float32)
+
+
+_DESCRIBERS: dict[DescriptorKind, Callable[[Image, Corners], Described]] = {
+    DescriptorKind.ORB: describe_orb,
+    DescriptorKind.SIFT: describe_sift,
+    DescriptorKind.ROOTSIFT: describe_rootsift,
+}

@@ -1,0 +1,37 @@
+"""SIFT and RootSIFT: 4x4 histograms of 8 gradient directions (notes 5.2.1; Lowe 2004, section 6; Arandjelovic 2012)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from imgu_ros.types import Image
+from imgu_ros.vision.descriptors.described import Described
+from imgu_ros.vision.keypoints.keypoints import Corners
+from imgu_ros.vision.keypoints.opencv import opencv_keypoints
+
+
+def describe_sift(image: Image, corners: Corners) -> Described:
+    """Describe corners of one picture by 128 numbers each, 0 to 255, of Euclidean norm about 512.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+    corners : with scale (the histograms are 3 sigma wide) and angle
+    """
+    if not len(corners.xy):
+        return Described(np.zeros(0, np.intp), np.zeros((0, 128), np.float32))
+    keypoints = opencv_keypoints(corners.xy, 2 * corners.scale, corners.angle, corners.response)
+    found, descriptors = cv2.SIFT.create().compute(image, keypoints)
+    order = np.array([k.class_id for k in found], np.intp)
+    return Described(order, np.asarray(descriptors, np.float32).reshape(-1, 128))
+
+
+def describe_rootsift(image: Image, corners: Corners) -> Described:
+    """Describe as `describe_sift`, then take the square root of each L1-normalised row: unit Euclidean norm.
+
+    Euclidean distances between such rows are Hellinger distances between the histograms.
+    """
+    described = describe_sift(image, corners)
+    total = described.descriptors.sum(axis=1, keepdims=True)
+    return Described(described.index, np.sqrt(described.descriptors / np.where(total > 0, total, 1.0)))

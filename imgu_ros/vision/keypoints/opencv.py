@@ -1,0 +1,40 @@
+"""Between `Corners` and OpenCV's list of cv2.KeyPoint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from imgu_ros.types import Floats, Points
+from imgu_ros.vision.keypoints.keypoints import Corners
+
+
+def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, with_angle: bool) -> Corners:
+    """Convert cv2's keypoints.
+
+    Parameters
+    ----------
+    found : cv2.KeyPoint objects
+    sigma_per_size : sigma of the structure as a share of the detector's `size`
+    with_angle : whether the detector's `angle` (degrees, 0 to 360) means anything
+    """
+    rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], np.float64).reshape(-1, 5)
+    angle = np.radians(rows[:, 3]) if with_angle else np.zeros(len(rows))
+    return Corners(
+        xy=np.ascontiguousarray(rows[:, :2]),
+        scale=rows[:, 2] * sigma_per_size,
+        angle=(angle + math.pi) % (2 * math.pi) - math.pi,
+        response=rows[:, 4].copy(),
+    )
+
+
+def opencv_keypoints(xy: Points, size: Floats, angle: Floats, response: Floats) -> list[cv2.KeyPoint]:
+    """Make cv2's keypoints on octave 0; angle in radians. Row i gets class_id i, which OpenCV hands through."""
+    degrees = np.degrees(angle) % 360
+    return [
+        cv2.KeyPoint(float(x), float(y), float(s), float(a), float(r), 0, index)
+        for index, ((x, y), s, a, r) in enumerate(zip(xy, size, degrees, response, strict=True))
+    ]

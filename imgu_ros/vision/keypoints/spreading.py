@@ -1,0 +1,47 @@
+"""Spreading keypoints evenly over an image."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Floats, Indices, Points, as_points
+
+
+def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> Indices:
+    """Choose up to `count` points, taking turns among the cells of a grid.
+
+    Every cell's strongest point comes before any cell's second strongest, and so on; within a turn the stronger
+    come first. The grid has about as many cells as half the wanted points.
+
+    Parameters
+    ----------
+    xy : (N, 2) px
+    response : (N,) larger is stronger
+    size : (width, height) px
+    count : wanted number, >= 1
+
+    Returns
+    -------
+    (min(N, count),) indices, strongest first
+    """
+    xy = as_points(xy, "xy")
+    if len(response) != len(xy):
+        raise ShapeError(f"response: {len(response)} values; need {len(xy)}, one for each point")
+    if count < 1 or min(size) < 1:
+        raise ShapeError(f"count, size: {count}, {size}; need positive numbers")
+    strongest_first = np.lexsort((xy[:, 0], xy[:, 1], -response))
+    if len(xy) > count:
+        side = math.sqrt(size[0] * size[1] / max(1, count // 2))
+        columns = max(1, math.ceil(size[0] / side))
+        cell = (xy[:, 1] // side).astype(np.intp) * columns + (xy[:, 0] // side).astype(np.intp)
+        cell = cell[strongest_first]
+        by_cell = np.argsort(cell, kind="stable")
+        starts = np.flatnonzero(np.r_[True, np.diff(cell[by_cell]) != 0])
+        turn = np.empty(len(xy), np.intp)
+        turn[by_cell] = np.arange(len(xy)) - np.repeat(starts, np.diff(np.r_[starts, len(xy)]))
+        kept = np.sort(np.argsort(turn, kind="stable")[:count])
+        strongest_first = strongest_first[kept]
+    return strongest_first
