@@ -1,0 +1,150 @@
+"""sensor_msgs/CompressedImage <-> pixels: JPEG and PNG."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from imgu_ros.codec.encodings import Encoding, encoding_named
+from imgu_ros.codec.factory import MessageFactory
+from imgu_ros.codec.header import Header, header_message
+from imgu_ros.codec.image import data_bytes
+from imgu_ros.codec.picture_files import FileKind, check_picture_file
+from imgu_ros.errors import EncodingError
+from imgu_ros.types import Image
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+
+
+def decode_compressed_image(message: Any) -> RawImage:
+    """Decompress a sensor_msgs/CompressedImage: JPEG, or PNG of 8 or 16 bit.
+
+    The data say themselves whether they are JPEG or PNG. The format string says what the picture was made from, as
+    compressed_image_transport writes it: "bayer_rggb8; png compressed" is a mosaic, "rgb8; jpeg compressed bgr8" an
+    ordinary colour picture, "rgb8; jpeg compressed rgb8" one whose red and blue were swapped before compression;
+    plain "jpeg" or "png" is a grey or colour picture. An orientation in Exif is not applied: the camera's model
+    belongs to the pixels as they were read out.
+
+    Raises
+    ------
+    EncodingError
+        If the data are neither JPEG nor PNG, cut, damaged, of more than 2**28 pixels, or do not fit the format.
+    """
+    data = data_bytes(message)
+    check_picture_file(data)
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise EncodingError(
+            f"compressed image: {error.err or 'damaged data'}; need a JPEG or PNG that decodes"
+        ) from None
+    if pixels is None or pixels.size == 0:
+        raise EncodingError(f"compressed image: {len(data)} bytes that do not decode; need an undamaged JPEG or PNG")
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    layout = _layout(pixels, _parse_format(str(message.format)))
+    pixels.flags.writeable = False
+    return RawImage(pixels, layout)
+
+
+def compressed_image_message(
+    make: MessageFactory,
+    header: Header,
+    pixels: Image,
+    encoding: str,
+    *,
+    file_format: FileKind | str = FileKind.JPEG,
+    jpeg_quality: int = 95,
+    png_level: int = 3,
+) -> Any:
+    """Return a sensor_msgs/CompressedImage, with the format string of compressed_image_transport.
+
+    Parameters
+    ----------
+    pixels : (H, W) or (H, W, 3), of the encoding's data type
+    encoding : mono, bayer, rgb or bgr; 8 bit for JPEG, 8 or 16 for PNG
+    file_format : jpeg or png
+    jpeg_quality : 0 to 100
+    png_level : 0 (fast) to 9 (small)
+
+    Raises
+    ------
+    EncodingError
+        If the pixels do not fit the encoding, or the encoding the file format.
+    """
+    known = encoding_named(encoding)
+    kind = FileKind(file_format)
+    picture = _as_opencv_picture(pixels, known, kind)
+    if kind is FileKind.JPEG:
+        options = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    else:
+        options = [cv2.IMWRITE_PNG_COMPRESSION, png_level]
+    done, data = cv2.imencode(f".{kind}", picture, options)
+    if not done:
+        raise EncodingError(
+            f"pixels: {picture.shape} {picture.dtype} cannot be written as {kind}; need a smaller picture"
+        )
+    inside = f" bgr{known.dtype.itemsize * 8}" if picture.ndim == 3 else ""
+    return make(
+        "sensor_msgs/msg/CompressedImage",
+        header=header_message(make, header),
+        format=f"{encoding}; {kind} compressed{inside}",
+        data=np.asarray(data, np.uint8).reshape(-1),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Format:
+    """The format string taken apart: the original encoding ("" when it is not said), and the swap of red and blue."""
+
+    original: str
+    rgb_inside: bool
+
+
+def _parse_format(text: str) -> _Format:
+    original, separator, rest = text.partition(";")
+    return _Format(original.strip() if separator else "", "compressed rgb" in rest)
+
+
+def _layout(pixels: Image, said: _Format) -> PixelLayout:
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    if channels == 1 and said.original.startswith("bayer"):
+        return encoding_named(said.original).layout
+    if said.original and _is_generic(said.original, channels):
+        return PixelLayout(ColorModel.BANDS)
+    # A mosaic that was compressed in colour was demosaicked before; what is left is a colour picture.
+    colors = {
+        1: ColorModel.MONO,
+        3: ColorModel.RGB if said.rgb_inside else ColorModel.BGR,
+        4: ColorModel.RGBA if said.rgb_inside else ColorModel.BGRA,
+    }
+    if channels not in colors:
+        raise EncodingError(f"compressed image: {channels} channels; need 1, 3 or 4")
+    return PixelLayout(colors[channels])
+
+
+def _is_generic(name: str, channels: int) -> bool:
+    try:
+        known = encoding_named(name)
+    except EncodingError:
+        return False  # the picture speaks for itself
+    return known.layout.color is ColorModel.BANDS and known.channels == channels
+
+
+def _as_opencv_picture(pixels: Image, encoding: Encoding, kind: FileKind) -> Image:
+    """Check the pixels, and bring them to OpenCV's channel order."""
+    pixels = np.asarray(pixels)
+    color = encoding.layout.color
+    if color not in (ColorModel.MONO, ColorModel.BAYER, ColorModel.RGB, ColorModel.BGR):
+        raise EncodingError(f"encoding: {encoding.name!r}; need mono, bayer, rgb or bgr for a compressed image")
+    if kind is FileKind.JPEG and encoding.dtype.itemsize != 1:
+        raise EncodingError(f"encoding: {encoding.name!r}; need 8 bit for jpeg (png takes 16)")
+    need = "(H, W)" if encoding.channels == 1 else "(H, W, 3)"
+    if pixels.ndim != (2 if encoding.channels == 1 else 3) or pixels.size == 0 or pixels.shape[2:] not in ((), (3,)):
+        raise EncodingError(f"pixels: shape {pixels.shape}; need {need} with H, W >= 1 for {encoding.name}")
+    if pixels.dtype.newbyteorder("=") != encoding.dtype:
+        raise EncodingError(f"pixels: data type {pixels.dtype}; need {encoding.dtype} for {encoding.name}")
+    ordered = pixels[:, :, ::-1] if color is ColorModel.RGB else pixels
+    return np.ascontiguousarray(ordered, encoding.dtype)

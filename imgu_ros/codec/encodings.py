@@ -1,0 +1,125 @@
+"""The names of image encodings, as in sensor_msgs/image_encodings.hpp, and what they mean."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from imgu_ros.errors import EncodingError
+from imgu_ros.vision.formation.cfa import BayerPattern
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """What an encoding's name says.
+
+    Attributes
+    ----------
+    name : as in the message
+    dtype : data type of one channel, native byte order
+    channels : channels of a pixel, >= 1
+    layout : what the channels mean
+    """
+
+    name: str
+    dtype: np.dtype[Any]
+    channels: int
+    layout: PixelLayout
+
+    @property
+    def pixel_bytes(self) -> int:
+        """Bytes of one pixel."""
+        return self.dtype.itemsize * self.channels
+
+
+@lru_cache(maxsize=256)
+def encoding_named(name: str) -> Encoding:
+    """Return the encoding called `name`.
+
+    The generic ones are `8U 8S 16U 16S 32S 32F 64F` with `C` and any number of channels; without, one channel.
+
+    Raises
+    ------
+    EncodingError
+        If the chain cannot read it; the message names the nearest known one.
+    """
+    if name in _NAMED:
+        return _NAMED[name]
+    generic = _GENERIC.fullmatch(name)
+    if generic:
+        channels = int(generic["channels"] or 1)
+        return Encoding(name, np.dtype(_DEPTHS[generic["depth"]]), channels, PixelLayout(ColorModel.BANDS))
+    known = [*_NAMED, *(f"{depth}C{n}" for depth in _DEPTHS for n in (1, 2, 3, 4))]
+    # The name comes from outside: only the start of an endless one is shown, and compared.
+    start = name[:40]
+    nearest = difflib.get_close_matches(start, known, n=1, cutoff=0.0)[0]
+    raise EncodingError(f"encoding: {start!r} is unknown; nearest known: {nearest!r}")
+
+
+def is_image_encoding(name: str) -> bool:
+    """Whether the chain can read images of this encoding."""
+    try:
+        encoding_named(name)
+    except EncodingError:
+        return False
+    return True
+
+
+def encoding_for(dtype: Any, channels: int) -> str:
+    """Return the usual name for grey (1 channel) or RGB (3 channels) pixels of a data type.
+
+    Raises
+    ------
+    EncodingError
+        If there is none.
+    """
+    names = {
+        ("u1", 1): "mono8",
+        ("u2", 1): "mono16",
+        ("u1", 3): "rgb8",
+        ("u2", 3): "rgb16",
+        ("f4", 1): "32FC1",
+        ("f4", 3): "32FC3",
+    }
+    found = names.get((np.dtype(dtype).str[1:], channels))
+    if found is None:
+        raise EncodingError(f"pixels: {np.dtype(dtype)} x {channels}; need uint8, uint16 or float32, 1 or 3 channels")
+    return found
+
+
+#: At most four digits: no one has more bands, and Python refuses to convert an endless number.
+_GENERIC = re.compile(r"(?P<depth>8U|8S|16U|16S|32S|32F|64F)(C(?P<channels>[1-9][0-9]{0,3}))?")
+_DEPTHS = {"8U": "u1", "8S": "i1", "16U": "u2", "16S": "i2", "32S": "i4", "32F": "f4", "64F": "f8"}
+
+
+def _named() -> dict[str, Encoding]:
+    table: dict[str, Encoding] = {}
+
+    def add(name: str, bits: int, channels: int, color: ColorModel, pattern: BayerPattern | None = None) -> None:
+        table[name] = Encoding(name, np.dtype(f"u{bits // 8}"), channels, PixelLayout(color, pattern))
+
+    for bits in (8, 16):
+        add(f"mono{bits}", bits, 1, ColorModel.MONO)
+        add(f"rgb{bits}", bits, 3, ColorModel.RGB)
+        add(f"bgr{bits}", bits, 3, ColorModel.BGR)
+        add(f"rgba{bits}", bits, 4, ColorModel.RGBA)
+        add(f"bgra{bits}", bits, 4, ColorModel.BGRA)
+        for pattern in BayerPattern:
+            add(f"bayer_{pattern}{bits}", bits, 1, ColorModel.BAYER, pattern)
+    for name, color in (
+        ("uyvy", ColorModel.UYVY),
+        ("yuv422", ColorModel.UYVY),
+        ("yuyv", ColorModel.YUYV),
+        ("yuv422_yuy2", ColorModel.YUYV),
+    ):
+        add(name, 8, 2, color)
+    return table
+
+
+_NAMED = _named()

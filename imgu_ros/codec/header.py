@@ -1,0 +1,41 @@
+"""Stamps and frames: std_msgs/Header."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from imgu_ros.codec.factory import MessageFactory
+from imgu_ros.errors import EncodingError
+
+_SECOND_NS = 1_000_000_000
+_INT32 = range(-(2**31), 2**31)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """When and where: the stamp in nanoseconds and the name of the coordinate frame."""
+
+    stamp_ns: int
+    frame_id: str
+
+
+def decode_header(message: Any) -> Header:
+    """Read the header of `message` (any message with a `header` field)."""
+    stamp = message.header.stamp
+    return Header(int(stamp.sec) * _SECOND_NS + int(stamp.nanosec), str(message.header.frame_id))
+
+
+def header_message(make: MessageFactory, header: Header) -> Any:
+    """Return a std_msgs/Header.
+
+    Raises
+    ------
+    EncodingError
+        If the seconds do not fit the message's 32-bit field.
+    """
+    seconds, nanoseconds = divmod(header.stamp_ns, _SECOND_NS)
+    if seconds not in _INT32:
+        raise EncodingError(f"stamp: {header.stamp_ns} ns; need seconds that fit 32 bits ({_INT32[0]} to {_INT32[-1]})")
+    stamp = make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=header.frame_id)

@@ -1,0 +1,132 @@
+"""sensor_msgs/Image <-> pixels."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imgu_ros.codec.encodings import Encoding, encoding_named
+from imgu_ros.codec.factory import MessageFactory
+from imgu_ros.codec.header import Header, header_message
+from imgu_ros.errors import EncodingError
+from imgu_ros.types import Image
+from imgu_ros.vision.formation.layout import ColorModel, RawImage
+
+
+def decode_image(message: Any) -> RawImage:
+    """Read a sensor_msgs/Image without copying its pixels.
+
+    The result is a read-only view of the message's data. A copy is made only where a view would be wrong or slow: of
+    multi-byte pixels in the other byte order (OpenCV reads such arrays as if they were native, and says nothing), and
+    of pixels that do not lie on multiples of their size.
+
+    Returns
+    -------
+    (H, W) for one channel, (H, W, C) for more
+
+    Raises
+    ------
+    EncodingError
+        If the encoding is unknown, or data, size and row length disagree.
+    """
+    encoding = encoding_named(str(message.encoding))
+    width, height, step = int(message.width), int(message.height), int(message.step)
+    data = data_bytes(message)
+    _check_size(encoding, width, height, step, len(data))
+    dimensions = 2 if encoding.channels == 1 else 3
+    shape = (height, width, encoding.channels)[:dimensions]
+    strides = (step, encoding.pixel_bytes, encoding.dtype.itemsize)[:dimensions]
+    dtype = encoding.dtype.newbyteorder(">" if message.is_bigendian else "<")
+    # The last row's padding is not part of the view, whose strides end inside the data: see _check_size.
+    pixels: Image = np.ndarray(shape, dtype, buffer=data, strides=strides)
+    if not (pixels.dtype.isnative and pixels.flags.aligned):
+        pixels = pixels.astype(encoding.dtype, order="C")
+    pixels.flags.writeable = False
+    return RawImage(pixels, encoding.layout)
+
+
+def image_message(
+    make: MessageFactory,
+    header: Header,
+    pixels: Image,
+    encoding: str,
+    *,
+    row_padding: int = 0,
+    big_endian: bool = sys.byteorder == "big",
+) -> Any:
+    """Return a sensor_msgs/Image.
+
+    Parameters
+    ----------
+    pixels : (H, W) or (H, W, C), of the encoding's data type and channels
+    encoding : a name that `decode_image` reads
+    row_padding : bytes added to every row, >= 0
+    big_endian : byte order of multi-byte pixels; the machine's by default
+
+    Raises
+    ------
+    EncodingError
+        If the pixels do not fit the encoding.
+    """
+    known = encoding_named(encoding)
+    rows = _checked_pixels(pixels, known)
+    height, width = rows.shape[:2]
+    order: Any = ">" if big_endian else "<"
+    rows = np.ascontiguousarray(rows, known.dtype.newbyteorder(order))
+    lines = rows.reshape(height, -1).view(np.uint8)
+    if row_padding:
+        lines = np.pad(lines, ((0, 0), (0, row_padding)))
+    return make(
+        "sensor_msgs/msg/Image",
+        header=header_message(make, header),
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=lines.shape[1],
+        data=lines.reshape(-1),
+    )
+
+
+def data_bytes(message: Any) -> NDArray[np.uint8]:
+    """Return a message's `data` field as (N,) uint8, without a copy.
+
+    Raises
+    ------
+    EncodingError
+        If it is not a buffer of bytes.
+    """
+    try:
+        # numpy refuses an empty buffer by itself, with another meaning.
+        view = memoryview(message.data).cast("B")
+        return np.frombuffer(view, np.uint8) if len(view) else np.empty(0, np.uint8)
+    except (TypeError, ValueError) as error:
+        raise EncodingError(f"data: {type(message.data).__name__} ({error}); need contiguous bytes") from None
+
+
+def _check_size(encoding: Encoding, width: int, height: int, step: int, available: int) -> None:
+    if width <= 0 or height <= 0:
+        raise EncodingError(f"image: {width} x {height} px; need positive width and height")
+    if encoding.layout.color in (ColorModel.UYVY, ColorModel.YUYV) and width % 2:
+        raise EncodingError(f"width: {width} px; need an even width for {encoding.name}")
+    row = width * encoding.pixel_bytes
+    if step < row:
+        raise EncodingError(f"step: {step} bytes; need at least {row} for {width} px of {encoding.name}")
+    if available < step * height:
+        raise EncodingError(f"data: {available} bytes; need step x height = {step} x {height} = {step * height}")
+
+
+def _checked_pixels(pixels: Image, encoding: Encoding) -> Image:
+    pixels = np.asarray(pixels)
+    count = 1 if pixels.ndim == 2 else pixels.shape[2] if pixels.ndim == 3 else 0
+    if count != encoding.channels or pixels.size == 0:
+        need = "(H, W)" if encoding.channels == 1 else f"(H, W, {encoding.channels})"
+        raise EncodingError(f"pixels: shape {pixels.shape}; need {need} with H, W >= 1 for {encoding.name}")
+    if pixels.dtype.newbyteorder("=") != encoding.dtype:
+        raise EncodingError(f"pixels: data type {pixels.dtype}; need {encoding.dtype} for {encoding.name}")
+    if encoding.layout.color in (ColorModel.UYVY, ColorModel.YUYV) and pixels.shape[1] % 2:
+        raise EncodingError(f"pixels: shape {pixels.shape}; need an even width for {encoding.name}")
+    return pixels
