@@ -1,0 +1,260 @@
+"""The structure of the package: which layer may import what, how files are named, sized and documented."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+PACKAGE = REPOSITORY / "imgu_ros"
+
+MOST_LINES = 330
+#: As long as the list of parameters is.
+LONG_LISTS = {"params"}
+CATCH_ALL_NAMES = {"util", "utils", "helper", "helpers", "misc", "common", "tools"}
+
+MESSAGE_PACKAGES = {
+    "action_msgs", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "nav_msgs",
+    "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs", "visualization_msgs",
+}  # fmt: skip
+#: Modules of a ROS installation: under ros/ alone.
+ROS_MODULES = {"rclpy", "rosidl_runtime_py", "rosidl_parser", "ament_index_python", "tf2_ros", "rpyutils"}
+#: Fields that exist in messages and nowhere else: touched in codec/ alone.
+MESSAGE_FIELDS = {"nanosec", "is_bigendian", "distortion_model", "point_step", "row_step", "is_dense"}
+
+#: Files, clocks, processes and the network: not the business of an algorithm.
+NOT_FOR_VISION = {
+    "asyncio", "datetime", "io", "logging", "multiprocessing", "os", "pathlib", "shutil", "signal", "socket", "sqlite3",
+    "subprocess", "tempfile", "threading", "time",
+}  # fmt: skip
+NUMERIC = {"numpy", "scipy", "cv2"}
+
+#: What the lower layers may import of the package itself; whoever is not listed may import all but ros/ and cli/.
+LAYERS = {
+    "errors": set[str](),
+    "types": {"errors"},
+    "params": {"errors", "types"},
+    "vision": {"errors", "types", "vision"},
+    "perception": {"errors", "types", "params", "vision", "perception"},
+    "codec": {"errors", "types", "params", "vision", "perception", "codec"},
+}
+
+#: What a layer may import from outside the standard library, where that is limited.
+THIRD_PARTY = {
+    "errors": set[str](),
+    "types": {"numpy"},
+    "params": set[str](),
+    "vision": NUMERIC,
+    "perception": NUMERIC,
+    "codec": NUMERIC,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One module: its dotted name without the package's (`vision.camera.pose`) and its text."""
+
+    name: str
+    text: str
+
+    @property
+    def layer(self) -> str:
+        return self.name.partition(".")[0]
+
+
+def package_sources() -> list[Source]:
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return [
+        Source(".".join(path.relative_to(PACKAGE).with_suffix("").parts), path.read_text(encoding="utf-8"))
+        for path in paths
+    ]
+
+
+def imported_names(source: Source) -> Iterator[str]:
+    """Yield the dotted name of everything that a module imports, at its top or inside a function."""
+    for node in ast.walk(ast.parse(source.text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = f"imgu_ros.{source.name}".split(".")
+                base = ".".join([*parts[: len(parts) - node.level], *filter(None, [base])])
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            # importlib.import_module("rclpy"), __import__("rclpy"), find_spec("rclpy")
+            function = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if function in {"import_module", "__import__"} and isinstance(node.args[0].value, str):
+                yield node.args[0].value
+
+
+def wrong_imports(source: Source) -> Iterator[str]:
+    """Yield what breaks the laws of the layers."""
+    for name in imported_names(source):
+        root, _, rest = name.partition(".")
+        if root == "imgu_ros":
+            layer = rest.partition(".")[0]
+            allowed = LAYERS.get(source.layer)
+            if allowed is not None and layer not in allowed:
+                need = ", ".join(sorted(allowed)) or "nothing"
+                yield f"{source.name} imports {name}: {source.layer} may import {need}"
+            elif (layer == "ros" and source.layer not in {"ros", "cli"}) or (layer == "cli" != source.layer):
+                yield f"{source.name} imports {name}: only commands may"
+        elif root in ROS_MODULES | MESSAGE_PACKAGES and source.layer != "ros":
+            yield f"{source.name} imports {name}: only ros/ may"
+        elif root == "rosbags" and source.layer != "bags":
+            yield f"{source.name} imports {name}: only bags/ may"
+        elif root in sys.stdlib_module_names:
+            if source.layer == "vision" and root in NOT_FOR_VISION:
+                yield f"{source.name} imports {name}: vision/ knows no files, clocks or processes"
+        elif source.layer in THIRD_PARTY and root not in THIRD_PARTY[source.layer]:
+            need = ", ".join(sorted(THIRD_PARTY[source.layer])) or "nothing"
+            yield f"{source.name} imports {name}: {source.layer} may import {need}"
+
+
+def wrong_fields(source: Source) -> Iterator[str]:
+    """Yield accesses to fields of messages outside codec/."""
+    if source.layer == "codec":
+        return
+    for node in ast.walk(ast.parse(source.text)):
+        if not isinstance(node, ast.Attribute):
+            continue
+        nested = node.value.attr if isinstance(node.value, ast.Attribute) else ""
+        if node.attr in MESSAGE_FIELDS or f"{nested}.{node.attr}" in {"stamp.sec", "header.stamp", "clock.sec"}:
+            yield f"{source.name}:{node.lineno} touches .{nested + '.' if nested else ''}{node.attr}: only codec/ may"
+
+
+def undocumented(source: Source) -> Iterator[str]:
+    """Yield the public modules, classes and functions without a docstring."""
+    tree = ast.parse(source.text)
+    if tree.body and not ast.get_docstring(tree):
+        yield f"{source.name}: the module has no docstring"
+    for node in tree.body:
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) or node.name.startswith("_"):
+            continue
+        # A group of parameters is described by its fields.
+        if not ast.get_docstring(node) and not (source.name == "params" and node.name.endswith("Parameters")):
+            yield f"{source.name}: {node.name} has no docstring"
+
+
+def too_long(source: Source) -> Iterator[str]:
+    count = len(source.text.splitlines())
+    if count > MOST_LINES and source.name not in LONG_LISTS:
+        yield f"{source.name}: {count} lines; need at most {MOST_LINES}: give the second job a file of its own"
+
+
+def catch_all(source: Source) -> Iterator[str]:
+    for part in CATCH_ALL_NAMES.intersection(source.name.split(".")):
+        yield f"{source.name}: named {part!r}; need a name that says what it does"
+
+
+RULES: tuple[Callable[[Source], Iterator[str]], ...] = (
+    wrong_imports, wrong_fields, undocumented, too_long, catch_all,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_package_keeps_the_rule(rule: Callable[[Source], Iterator[str]]) -> None:
+    sources = package_sources()
+    assert len(sources) > 20
+    assert [violation for source in sources for violation in rule(source)] == []
+
+
+@pytest.mark.parametrize(
+    ("rule", "name", "text"),
+    [
+        (wrong_imports, "vision.edges", "import time"),
+        (wrong_imports, "vision.edges", "from datetime import datetime"),
+        (wrong_imports, "vision.edges", "def f():\n    import rclpy"),
+        (wrong_imports, "vision.edges", "import matplotlib.pyplot as plt"),
+        (wrong_imports, "vision.edges", "from imgu_ros.perception.frame import Frame"),
+        (wrong_imports, "vision.camera.pose", "from ...codec import frame"),
+        (wrong_imports, "vision.edges", "from imgu_ros import params"),
+        (wrong_imports, "perception.chain", "from imgu_ros.codec.frame import decode_frame"),
+        (wrong_imports, "perception.chain", "if TYPE_CHECKING:\n    from sensor_msgs.msg import Image"),
+        (wrong_imports, "perception.chain", "import yaml"),
+        (wrong_imports, "codec.image", "from sensor_msgs.msg import Image"),
+        (wrong_imports, "codec.image", "from rosbags.typesys import Stores"),
+        (wrong_imports, "codec.image", "import imgu_ros.bags.reading"),
+        (wrong_imports, "bags.reading", "from rclpy.serialization import deserialize_message"),
+        (wrong_imports, "bags.replay", "def f():\n    from imgu_ros.ros import messages"),
+        (wrong_imports, "bags.replay", "from imgu_ros.cli import main"),
+        (wrong_imports, "ros.player", "from rosbags.highlevel import AnyReader"),
+        (wrong_imports, "cli.node", "import importlib\nimportlib.import_module('rclpy')"),
+        (wrong_imports, "types", "import cv2"),
+        (wrong_fields, "ros.node", "def f(m):\n    return m.header.stamp"),
+        (wrong_fields, "bags.replay", "def f(m):\n    return m.stamp.sec"),
+        (wrong_fields, "bags.replay", "def f(m):\n    m.is_bigendian = 1"),
+        (undocumented, "files.images", "def read_image(path):\n    pass"),
+        (undocumented, "files.images", '"""Module."""\nclass Reader:\n    x = 1'),
+        (too_long, "files.images", "x = 1\n" * (MOST_LINES + 1)),
+        (catch_all, "vision.utils", ""),
+        (catch_all, "codec.helpers.image", ""),
+    ],
+)
+def test_rule_sees_the_violation(rule: Callable[[Source], Iterator[str]], name: str, text: str) -> None:
+    assert list(rule(Source(name, text)))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("vision.edges", "import math\nimport cv2\nfrom scipy import ndimage\nfrom imgu_ros.errors import ShapeError"),
+        ("vision.camera.pose", "from .intrinsics import Camera\nfrom ...types import Points"),
+        ("perception.chain", "import time\nfrom imgu_ros.params import Parameters"),
+        ("codec.image", "def f(m):\n    return m.header.stamp.nanosec"),
+        ("bags.reading", "from rosbags.highlevel import AnyReader\nfrom imgu_ros.codec.frame import decode_frame"),
+        ("ros.node", "import rclpy\nfrom sensor_msgs.msg import Image\nfrom imgu_ros.bags.reading import open_bag"),
+        ("cli.node", "def run(a):\n    from imgu_ros.ros.perception import main"),
+    ],
+)
+def test_rules_let_pass_what_is_allowed(name: str, text: str) -> None:
+    source = Source(name, f'"""Module."""\n{text}')
+    assert [*wrong_imports(source), *wrong_fields(source)] == []
+
+
+#: Places of one machine, and hosts of package indexes: the repository is for every machine.
+FOREIGN = re.compile(r"(?<![\w.~$}>-])/(home|root|tmp|work|Users)/\w|pypi\.org|pythonhosted", re.IGNORECASE)
+TEXT_FILES = {
+    "",
+    ".cfg",
+    ".in",
+    ".json",
+    ".md",
+    ".py",
+    ".rst",
+    ".rviz",
+    ".sh",
+    ".toml",
+    ".txt",
+    ".xml",
+    ".yaml",
+    ".yml",
+}
+FOLDERS = (".ci", "benchmarks", "config", "docs", "imgu_ros", "launch", "resource", "scripts", "test")
+
+
+def test_repository_names_no_machine() -> None:
+    files = [path for path in REPOSITORY.iterdir() if path.is_file() and path.name != ".git"]
+    files += [path for folder in FOLDERS for path in (REPOSITORY / folder).rglob("*") if path.is_file()]
+    found = [
+        f"{path.relative_to(REPOSITORY)}:{number}: {line.strip()}"
+        for path in files
+        if path.suffix in TEXT_FILES
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if FOREIGN.search(line)
+    ]
+    # The line above that defines the pattern.
+    assert [line for line in found if "re.compile" not in line] == []
+
+
+def test_pattern_for_machine_paths() -> None:
+    assert FOREIGN.search("see " + "/".join(["", "home", "someone", "bag"]))
+    assert FOREIGN.search("/".join(["", "tmp", "x.png"]))
+    assert not FOREIGN.search("$HOME/work/bags ../tmp/x ${ROOT}/tmp/x camera/home/image")
