@@ -1,0 +1,71 @@
+"""Rigid transforms and the plane-to-image homographies that follow from them, exact to rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Floats, Matrix3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidTransform:
+    """`dst_from_src`: x_dst = R x_src + t.
+
+    Attributes
+    ----------
+    R : (3, 3) rotation
+    t : (3,) m
+    """
+
+    R: Matrix3
+    t: Floats
+
+    def after(self, first: RigidTransform) -> RigidTransform:
+        """Return the transform that applies `first`, then this one."""
+        return RigidTransform(self.R @ first.R, self.R @ first.t + self.t)
+
+    def inverse(self) -> RigidTransform:
+        """Return `src_from_dst`."""
+        return RigidTransform(self.R.T, -self.R.T @ self.t)
+
+
+def image_from_template(K: Matrix3, camera_from_target: RigidTransform, target_from_template: Matrix3) -> Matrix3:
+    """Return H_image_template of a printed plane: unit Frobenius norm, w > 0 at the target's centre.
+
+    A point of the target's plane z = 0 projects by K [r1 r2 t] (notes 8.2.1).
+
+    Raises
+    ------
+    ShapeError
+        If the target's centre is not in front of the camera.
+    """
+    if not camera_from_target.t[2] > 0:
+        raise ShapeError(f"target: its centre is at z {camera_from_target.t[2]:g} m; need z > 0 (in front of the camera)")
+    plane = np.column_stack((camera_from_target.R[:, 0], camera_from_target.R[:, 1], camera_from_target.t))
+    H: Matrix3 = K @ plane @ target_from_template
+    # w at the centre is the depth of the target's origin, positive by the check above.
+    return H / np.linalg.norm(H)
+
+
+def target_from_template(size: tuple[int, int], width_m: float) -> Matrix3:
+    """Return the matrix from template pixels to metres on the target.
+
+    Parameters
+    ----------
+    size : width, height of the template, px
+    width_m : printed width, outer edge to outer edge
+    """
+    width, height = size
+    s = width_m / width
+    return np.array([[s, 0.0, -s * (width - 1) / 2], [0.0, -s, s * (height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def rotation_about(axis: Floats, angle_rad: float) -> Matrix3:
+    """Return the rotation by `angle_rad` about `axis`, (3,), of any length but 0 (Rodrigues' formula)."""
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: Matrix3 = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * (cross @ cross)
+    return rotation

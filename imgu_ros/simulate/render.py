@@ -1,0 +1,218 @@
+"""The light that reaches each pixel of a camera before a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.simulate.coverage import rectangle_coverage
+from imgu_ros.simulate.geometry import RigidTransform, image_from_template
+from imgu_ros.simulate.levels import Levels
+from imgu_ros.simulate.optics import PixelGrid, PlaneMap
+from imgu_ros.simulate.scene import PrintedImage, Scene
+from imgu_ros.simulate.wall import Wall
+from imgu_ros.types import Floats, Image, Matrix3
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
+
+#: Samples along each side of a pixel.
+SAMPLES = 3
+
+_STRIP_ROWS = 64
+_EDGE_POINTS = 48
+
+
+@dataclass(frozen=True, slots=True)
+class _Sites:
+    """Pixels of one colour phase: every `step`-th row and column, and (plane, channel of the output) measured there."""
+
+    row: int
+    column: int
+    step: int
+    planes: tuple[tuple[str, int], ...]
+
+
+class Renderer:
+    """Renders a scene as a noise-free sensor would see it."""
+
+    def __init__(self, scene: Scene, camera: Camera, layout: PixelLayout) -> None:
+        """Prepare textures and lens.
+
+        Parameters
+        ----------
+        scene, camera : what is seen, and by what
+        layout : Bayer, mono, RGB or BGR: only the colours that a pixel measures are computed
+
+        Raises
+        ------
+        ShapeError
+            If the layout is another, or the lens model has no inverse inside the image.
+        """
+        self.scene, self.camera = scene, camera
+        self._sites = _sites(layout)
+        self._channels = 1 + max(channel for sites in self._sites for _, channel in sites.planes)
+        self._grid = PixelGrid(camera)
+        self._levels = [Levels(target.pixels) for target in scene.targets]
+        self._wall = Wall(scene.radius_m)
+
+    def radiance(self, camera_from_scene: RigidTransform) -> Image:
+        """Render one view.
+
+        Each pixel is the mean over its area: SAMPLES x SAMPLES samples of a texture level whose pixels are about as
+        large as the samples are apart; a target's edge covers it exactly.
+
+        Returns
+        -------
+        (H, W) or (H, W, 3) float32, linear reflectance in [0, 1]
+
+        Raises
+        ------
+        ShapeError
+            If a target's centre is behind the camera.
+        """
+        shape = (self.camera.height, self.camera.width)
+        out = np.empty(shape if self._channels == 1 else (*shape, self._channels), np.float32)
+        wall = self._wall.image_from_wall(self.camera.K, camera_from_scene, self.scene.wall_m)
+        for rows in _strips(0, shape[0]):
+            self._draw_wall(out, np.linalg.inv(wall), rows)
+        poses = [camera_from_scene.after(pose) for pose in self.scene.poses]
+        # The far ones first: a nearer one hides them.
+        for index in sorted(range(len(poses)), key=lambda i: -float(poses[i].t[2])):
+            self._draw_target(out, self.scene.targets[index], self._levels[index], poses[index])
+        return out
+
+    def _draw_wall(self, out: Image, H_wall_image: Matrix3, rows: slice) -> None:
+        columns = slice(0, self.camera.width)
+        level = self._wall.level_for(self._largest_step(H_wall_image, rows, columns))
+        H = self._wall.level_from_wall(level) @ H_wall_image
+        for sites in self._sites:
+            where = _site_slices(sites, rows, columns)
+            self._wall.draw(_block(out, where), level, self._grid.plane_map(H, *where), sites.planes)
+
+    def _draw_target(self, out: Image, target: PrintedImage, levels: Levels, pose: RigidTransform) -> None:
+        H_image_template = image_from_template(self.camera.K, pose, target.target_from_template)
+        H_template_image = np.linalg.inv(H_image_template)
+        outline = _outline_in_image(H_image_template, target.size, self.camera)
+        for rows, columns in _boxes(outline, self.camera):
+            level = levels.level_for(self._largest_step(H_template_image, rows, columns) / SAMPLES)
+            A = levels.level_from_template(level)
+            width, height = A[0, 0] * target.size[0], A[1, 1] * target.size[1]
+            for sites in self._sites:
+                where = _site_slices(sites, rows, columns)
+                on_level = self._grid.plane_map(A @ H_template_image, *where)
+                share = rectangle_coverage(on_level, width, height)
+                colors = _area_means([levels.plane(level, name) for name, _ in sites.planes], on_level)
+                block = _block(out, where)
+                for color, (_, channel) in zip(colors, sites.planes, strict=True):
+                    channel_block = block[..., channel] if block.ndim == 3 else block
+                    channel_block += share * (color - channel_block)
+
+    def _largest_step(self, H_plane_image: Matrix3, rows: slice, columns: slice) -> float:
+        """Return how far apart on the plane neighbouring pixels look, at most, over a block's border."""
+        row_step, column_step = max(1, (rows.stop - rows.start) // 4), max(1, (columns.stop - columns.start) // 8)
+        m = self._grid.plane_map(H_plane_image, slice(rows.start, rows.stop, row_step), slice(columns.start, columns.stop, column_step))
+        if not m.front.any():
+            return math.inf
+        a, b, c, d = (part[m.front].astype(np.float64) for part in (m.ux, m.uy, m.vx, m.vy))
+        # The larger singular value of [[a, b], [c, d]].
+        half = (a * a + b * b + c * c + d * d) / 2
+        root = np.sqrt(np.maximum(half * half - (a * d - b * c) ** 2, 0))
+        return float(np.sqrt((half + root).max()))
+
+
+def _area_means(planes: list[Image], m: PlaneMap) -> list[Image]:
+    """Return the mean of each plane over each pixel's area, (rows, columns) float32."""
+    n = SAMPLES
+    sums = [np.zeros(m.u.shape, np.float32) for _ in planes]
+    first = -(n - 1) / (2 * n)  # the first sample's place in the pixel
+    # To first order in the offset: what is neglected is below 1e-3 of a sample's distance.
+    row_u, row_v = m.u + first * (m.ux + m.uy), m.v + first * (m.vx + m.vy)
+    dux, dvx, duy, dvy = m.ux / n, m.vx / n, m.uy / n, m.vy / n
+    for _ in range(n):
+        u, v = row_u.copy(), row_v.copy()
+        for column in range(n):
+            for total, plane in zip(sums, planes, strict=True):
+                cv2.accumulate(cv2.remap(plane, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), total)
+            if column < n - 1:
+                u += dux
+                v += dvx
+        row_u += duy
+        row_v += dvy
+    return [total * np.float32(1 / (n * n)) for total in sums]
+
+
+def _sites(layout: PixelLayout) -> tuple[_Sites, ...]:
+    if layout.color is ColorModel.BAYER and layout.pattern is not None:
+        return tuple(_Sites(i // 2, i % 2, 2, ((color, 0),)) for i, color in enumerate(layout.pattern.value))
+    if layout.color is ColorModel.MONO:
+        return (_Sites(0, 0, 1, (("y", 0),)),)
+    if layout.color in (ColorModel.RGB, ColorModel.BGR):
+        return (_Sites(0, 0, 1, tuple((color, layout.color.value.index(color)) for color in "rgb")),)
+    raise ShapeError(f"layout: {layout.color}; need bayer with a pattern, mono, rgb or bgr")
+
+
+def _site_slices(sites: _Sites, rows: slice, columns: slice) -> tuple[slice, slice]:
+    """Return the sites within a block that starts at even coordinates."""
+    return (
+        slice(rows.start + sites.row, rows.stop, sites.step),
+        slice(columns.start + sites.column, columns.stop, sites.step),
+    )
+
+
+def _block(out: Image, where: tuple[slice, slice]) -> Image:
+    return out[where[0], where[1]]
+
+
+def _strips(start: int, stop: int) -> Iterator[slice]:
+    for row in range(start - start % 2, stop, _STRIP_ROWS):
+        yield slice(row, min(row + _STRIP_ROWS, stop))
+
+
+def _outline_in_image(H: Matrix3, size: tuple[int, int], camera: Camera) -> Floats | None:
+    """Return the closed outline, (N, 2) raw px, with points along each edge; None when a part is behind the camera."""
+    left, top, right, bottom = -0.5, -0.5, size[0] - 0.5, size[1] - 0.5
+    corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
+    s = np.linspace(0, 1, _EDGE_POINTS, endpoint=False)[:, None]
+    edges = np.concatenate([a + s * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)] + [corners[:1]])
+    ideal = np.column_stack((edges, np.ones(len(edges)))) @ H.T
+    if not (ideal[:, 2] > 1e-3 * ideal[:, 2].max()).all():
+        return None
+    points: Floats = ideal[:, :2] / ideal[:, 2:]
+    if not camera.is_distorted:
+        return points
+    # Far outside the image a polynomial lens may fold back: only an outline near the image is trusted.
+    near = (np.abs(points - (camera.width / 2, camera.height / 2)) < 1.5 * np.array([camera.width, camera.height])).all()
+    return camera.raw_pixels(points) if near else None
+
+
+def _boxes(outline: Floats | None, camera: Camera) -> Iterator[tuple[slice, slice]]:
+    """Yield (rows, columns), from even coordinates, that together hold the outline's inside."""
+    if outline is None:
+        for rows in _strips(0, camera.height):
+            yield rows, slice(0, camera.width)
+        return
+    top, bottom = max(0, math.floor(outline[:, 1].min()) - 2), min(camera.height, math.ceil(outline[:, 1].max()) + 3)
+    a, b = outline[:-1], outline[1:]
+    low, high = np.minimum(a[:, 1], b[:, 1]), np.maximum(a[:, 1], b[:, 1])
+    run = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
+    for rows in _strips(top, bottom):
+        first, last = rows.start - 2.0, rows.stop + 2.0
+        crosses = (low <= last) & (high >= first)
+        if not crosses.any():
+            continue
+        # Where each edge enters and leaves the strip.
+        level = a[:, 1] == b[:, 1]
+        ends = []
+        for y in (first, last):
+            t = np.clip((y - a[:, 1]) / run, 0, 1)
+            ends.append(np.where(level, a[:, 0], a[:, 0] + t * (b[:, 0] - a[:, 0]))[crosses])
+        ends += [b[:, 0][crosses & level]]
+        x = np.concatenate(ends)
+        left, right = max(0, math.floor(x.min()) - 2), min(camera.width, math.ceil(x.max()) + 3)
+        if left < right:
+            yield rows, slice(left - left % 2, right)

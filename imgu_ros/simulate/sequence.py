@@ -1,0 +1,163 @@
+"""A simulated sequence: raw frames with their exact truth, without any bag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import ParameterError
+from imgu_ros.perception.frame import Frame
+from imgu_ros.simulate.geometry import image_from_template
+from imgu_ros.simulate.path import Motion, camera_from_scene_at
+from imgu_ros.simulate.render import Renderer
+from imgu_ros.simulate.scene import PrintedImage, Scene, arrange_scene
+from imgu_ros.simulate.texture import procedural_texture
+from imgu_ros.simulate.truth import Truth, points_in_image, target_grid
+from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_camera
+from imgu_ros.vision.formation.cfa import BayerPattern
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+from imgu_ros.vision.formation.sensor import Sensor, expose
+
+#: Light on a white surface, as a share of what saturates the sensor.
+_EXPOSURE = 0.9
+#: A plausible lens for each model.
+TYPICAL_LENSES: dict[DistortionModel, tuple[float, ...]] = {
+    DistortionModel.PLUMB_BOB: (-0.26, 0.09, 0.0008, -0.0005, -0.01),
+    DistortionModel.RATIONAL_POLYNOMIAL: (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01),
+    DistortionModel.EQUIDISTANT: (-0.03, 0.008, -0.004, 0.001),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """What to simulate.
+
+    Attributes
+    ----------
+    width, height : image size, px, at least 32; even for Bayer
+    frames : number of frames; one sequence goes once through the whole motion, however many frames it has
+    rate_hz : frames a second
+    seed : of texture, path and noise; the same seed gives the same frames
+    layout : what a pixel measures: Bayer with a pattern, mono, RGB or BGR
+    sensor : noise and bit depth; None: no noise, 16 bits
+    motion : ranges of the camera's path
+    camera : intrinsics; None: 61 degrees wide, without distortion
+    start_ns : stamp of the first frame
+    frame_id : the camera's optical frame
+    """
+
+    width: int = 1280
+    height: int = 720
+    frames: int = 60
+    rate_hz: float = 15.0
+    seed: int = 0
+    layout: PixelLayout = field(default_factory=lambda: PixelLayout(ColorModel.BAYER, BayerPattern.RGGB))
+    sensor: Sensor | None = field(default_factory=Sensor)
+    motion: Motion = field(default_factory=Motion)
+    camera: Camera | None = None
+    start_ns: int = 1_700_000_000_000_000_000
+    frame_id: str = "camera_optical_frame"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedFrame:
+    """One frame and the truth about every target of which it shows a part."""
+
+    frame: Frame
+    truths: tuple[Truth, ...]
+
+
+def simulate_sequence(
+    simulation: Simulation | None = None, targets: Sequence[PrintedImage] | None = None
+) -> Iterator[SimulatedFrame]:
+    """Yield the frames of a sequence, in order of time.
+
+    Parameters
+    ----------
+    simulation : what to simulate; None: 60 frames of 1280x720, Bayer RGGB, 8 bits
+    targets : printed images before the camera; None: `default_targets(1, seed)`
+
+    Raises
+    ------
+    ParameterError
+        If the simulation is impossible; at the first frame.
+    ShapeError
+        If a target is not a picture, or the camera's lens cannot be inverted.
+    """
+    simulation = simulation or Simulation()
+    _check(simulation)
+    camera = camera_of(simulation)
+    scene = arrange_scene(targets if targets is not None else default_targets(1, simulation.seed), simulation.seed)
+    renderer = Renderer(scene, camera, simulation.layout)
+    for index in range(simulation.frames):
+        yield _frame(index, simulation, scene, camera, renderer)
+
+
+def default_targets(count: int = 1, seed: int = 0, width_m: float = 0.5) -> tuple[PrintedImage, ...]:
+    """Return `count` procedural pictures of 1280x960 px, named poster, poster_2, ..."""
+    return tuple(
+        PrintedImage("poster" if i == 0 else f"poster_{i + 1}", procedural_texture(seed=seed + 1000 * i), width_m)
+        for i in range(count)
+    )
+
+
+def default_camera(
+    width: int,
+    height: int,
+    model: DistortionModel | str = DistortionModel.PLUMB_BOB,
+    distortion: ArrayLike = (),
+) -> Camera:
+    """Return a camera 61 degrees wide, its principal point a little off the centre."""
+    f = 0.85 * width
+    K = [[f, 0, (width - 1) / 2 + 0.0035 * width], [0, f, (height - 1) / 2 - 0.004 * height], [0, 0, 1]]
+    return make_camera(K, distortion, model, width, height)
+
+
+def camera_of(simulation: Simulation) -> Camera:
+    """Return the simulation's camera, the default one when it has none."""
+    return simulation.camera or default_camera(simulation.width, simulation.height)
+
+
+def stamp_ns(simulation: Simulation, index: int) -> int:
+    """Return the stamp of frame `index`."""
+    return simulation.start_ns + round(index * 1e9 / simulation.rate_hz)
+
+
+def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, renderer: Renderer) -> SimulatedFrame:
+    stamp = stamp_ns(simulation, index)
+    progress = index / max(simulation.frames - 1, 1)
+    camera_from_scene = camera_from_scene_at(progress, simulation.motion, camera, scene.radius_m, simulation.seed)
+    light = renderer.radiance(camera_from_scene) * np.float32(_EXPOSURE)
+    if simulation.sensor is None:
+        pixels = np.round(np.clip(light, 0, 1) * 65535).astype(np.uint16)
+    else:
+        pixels = expose(light, simulation.sensor, np.random.default_rng([simulation.seed, index, 0x5E45]))
+    pixels.flags.writeable = False
+    frame = Frame(RawImage(pixels, simulation.layout), stamp, simulation.frame_id, camera)
+    size = camera.width, camera.height
+    truths = []
+    for target, pose in zip(scene.targets, scene.poses, strict=True):
+        camera_from_target = camera_from_scene.after(pose)
+        H = image_from_template(camera.K, camera_from_target, target.target_from_template)
+        if points_in_image(H, target_grid(target.size, 9), size, camera).any():
+            truths.append(Truth(stamp, target.name, H, camera_from_target))
+    return SimulatedFrame(frame, tuple(truths))
+
+
+def _check(simulation: Simulation) -> None:
+    width, height = simulation.width, simulation.height
+    if not (32 <= width <= 16384 and 32 <= height <= 16384):
+        raise ParameterError(f"size: {width}x{height}; need 32x32 to 16384x16384")
+    if simulation.layout.color is ColorModel.BAYER and (width % 2 or height % 2):
+        raise ParameterError(f"size: {width}x{height}; need even numbers for a Bayer pattern")
+    if simulation.frames < 1:
+        raise ParameterError(f"frames: {simulation.frames}; need 1 or more")
+    if not (math.isfinite(simulation.rate_hz) and 1e-3 <= simulation.rate_hz <= 1e5):
+        raise ParameterError(f"rate: {simulation.rate_hz:g} Hz; need 0.001 to 100000 Hz")
+    camera = simulation.camera
+    if camera is not None and (camera.width, camera.height) != (width, height):
+        raise ParameterError(f"camera: {camera.width}x{camera.height}; need the image size, {width}x{height}")

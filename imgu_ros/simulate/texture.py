@@ -1,0 +1,100 @@
+"""Procedural textures: detail at every scale, colourful, the same for the same seed."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Floats, Image
+
+_SUPERSAMPLING = 2
+_SHAPES_PER_MEGAPIXEL = 9000
+_SMALLEST_PX = 2.0
+
+
+def procedural_texture(width: int = 1280, height: int = 960, seed: int = 0) -> Image:
+    """Return a colourful texture with edges and corners at every scale.
+
+    Dead leaves: opaque shapes whose sizes follow a power law hide each other, which gives the statistics of natural
+    scenes under any magnification (Lee, Mumford & Huang 2001); fractal noise modulates them.
+
+    Parameters
+    ----------
+    width, height : px, at least 16
+    seed : chooses the texture
+
+    Returns
+    -------
+    (height, width, 3) uint8, RGB as a screen or printer expects it (sRGB)
+
+    Raises
+    ------
+    ShapeError
+        If the size is too small.
+    """
+    if min(width, height) < 16:
+        raise ShapeError(f"texture size: {width} x {height}; need at least 16 x 16 px")
+    rng = np.random.default_rng([seed, 0x7E87])
+    canvas = _base_colors(width, height, rng)
+    canvas = cv2.resize(canvas, (width * _SUPERSAMPLING, height * _SUPERSAMPLING), interpolation=cv2.INTER_LINEAR)
+    for polygon, color in _shapes(width, height, rng):
+        cv2.fillPoly(canvas, [np.round(polygon * (_SUPERSAMPLING * 16)).astype(np.int32)], color, cv2.LINE_8, 4)
+    leaves = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA).astype(np.float64)
+    shade = fractal_noise(width, height, 1.0, rng)
+    return np.clip(np.round(leaves * (1 + 0.16 * shade[:, :, None])), 0, 255).astype(np.uint8)
+
+
+def wall_texture(side: int = 1024, seed: int = 0) -> Image:
+    """Return a plain rough wall, (side, side) float32 around 1, that repeats without a seam."""
+    rng = np.random.default_rng([seed, 0x3A11])
+    noise = fractal_noise(side, side, 1.3, rng)
+    return np.clip(1 + 0.2 * noise, 0.3, 1.7).astype(np.float32)
+
+
+def fractal_noise(width: int, height: int, exponent: float, rng: np.random.Generator) -> Floats:
+    """Return periodic Gaussian noise with amplitude spectrum 1 / frequency^exponent, (height, width), mean 0, variance 1."""
+    white = np.fft.rfft2(rng.standard_normal((height, width)))
+    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :])
+    frequency[0, 0] = 1.0
+    white /= frequency**exponent
+    white[0, 0] = 0.0
+    noise = np.fft.irfft2(white, s=(height, width))
+    return noise / noise.std()
+
+
+def _base_colors(width: int, height: int, rng: np.random.Generator) -> Image:
+    channels = [128 + 45 * fractal_noise(width, height, 1.5, rng) for _ in range(3)]
+    return np.clip(np.stack(channels, axis=2), 0, 255).astype(np.uint8)
+
+
+def _shapes(width: int, height: int, rng: np.random.Generator) -> list[tuple[Floats, tuple[float, ...]]]:
+    """Return polygons, (N, 2) px, with colours, in the order of drawing."""
+    count = max(40, round(_SHAPES_PER_MEGAPIXEL * width * height / 1e6))
+    largest = 0.22 * min(width, height)
+    # Radii with density r^-3: equal area in every octave. Drawn as they come, small ones would drown under large ones.
+    uniform = rng.random(count)
+    inverse_square = _SMALLEST_PX**-2 - uniform * (_SMALLEST_PX**-2 - max(largest, 2 * _SMALLEST_PX) ** -2)
+    radii = np.sort(1 / np.sqrt(inverse_square))[::-1] * np.exp(rng.normal(0, 0.25, count))
+    centres = rng.random((count, 2)) * (width, height)
+    corners = rng.integers(3, 8, count)
+    colors = _colors(count, rng)
+    shapes = []
+    for radius, centre, sides, color in zip(radii, centres, corners, colors, strict=True):
+        # Seven "corners" stand for a disc.
+        sides = 24 if sides == 7 else int(sides)
+        angles = np.sort(rng.random() + (np.arange(sides) + (0 if sides == 24 else rng.uniform(-0.3, 0.3, sides))) / sides)
+        stretch = np.array([1.0, 1.0 if sides == 24 else rng.uniform(0.4, 1.0)])
+        ring = np.column_stack((np.cos(2 * np.pi * angles), np.sin(2 * np.pi * angles))) * stretch * radius
+        turn = rng.uniform(0, 2 * np.pi)
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        shapes.append((ring @ rotation.T + centre, tuple(float(c) for c in color)))
+    return shapes
+
+
+def _colors(count: int, rng: np.random.Generator) -> Floats:
+    """Return (count, 3) colours: any hue, from pastel to vivid, brightness spread wide."""
+    hue, saturation, value = rng.random(count), rng.beta(1.3, 1.3, count), rng.uniform(30, 250, count)
+    phase = 6 * hue[:, None] + np.array([0.0, 4.0, 2.0])
+    pure = np.clip(np.abs(phase % 6 - 3) - 1, 0, 1)
+    return np.round(value[:, None] * (1 - saturation[:, None] * (1 - pure)))
