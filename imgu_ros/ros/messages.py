@@ -57,7 +57,7 @@ def message_class(type_name: str) -> Any:
 
 
 _HINTS = {
-    "tf2_msgs": "tf2_msgs is not available from pip: install it with ROS (apt install ros-jazzy-tf2-msgs) and source it",
+    "tf2_msgs": "pip does not have it: install it with ROS (apt install ros-jazzy-tf2-msgs) and source the setup file",
 }
 
 #: Type codes of `array.array`, which rclpy keeps variable-length numeric arrays in.

@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imgu_ros.codec.pairing import Pairing
+from imgu_ros.errors import ParameterError
+
+FRAME_NS = 33_000_000
+
+
+def run(events: str, **options) -> list[tuple[int, int | None]]:
+    """Feed "i3 c3 ..." (image or camera_info with stamp 3 frames) and return (image, camera_info) stamps."""
+    pairing: Pairing[int, int] = Pairing(**options)
+    pairs = []
+    for event in events.split():
+        number = int(event[1:])
+        add = pairing.add_image if event[0] == "i" else pairing.add_camera_info
+        pairs += add(number * FRAME_NS, number)
+    pairs += pairing.flush()
+    return [(pair.image, pair.camera_info) for pair in pairs]
+
+
+@pytest.mark.parametrize("events", ["i1 c1 i2 c2 i3 c3", "c1 i1 c2 i2 c3 i3", "c1 c2 c3 i1 i2 i3", "i1 i2 c1 i3 c2 c3"])
+def test_equal_stamps_meet_in_any_interleaving(events):
+    assert run(events) == [(1, 1), (2, 2), (3, 3)]
+
+
+@pytest.mark.parametrize("events", ["c1 i1 i2 c3 i3", "i1 c1 i2 i3 c3", "i1 i2 c1 c3 i3"])
+def test_a_lost_camera_info_falls_back_to_the_latest_earlier(events):
+    assert run(events) == [(1, 1), (2, 1), (3, 3)]
+
+
+def test_a_match_leaves_at_once():
+    pairing: Pairing[str, str] = Pairing()
+    assert pairing.add_image(5, "image") == []
+    (pair,) = pairing.add_camera_info(5, "info")
+    assert (pair.image, pair.camera_info, pair.matched, pair.stamp_ns) == ("image", "info", True, 5)
+    assert pairing.add_camera_info(6, "info 6") == []
+    (pair,) = pairing.add_image(6, "image 6")
+    assert pair.camera_info == "info 6"
+    assert (pairing.matched, pairing.unmatched) == (2, 0)
+
+
+def test_an_image_waits_for_two_more_and_no_longer():
+    pairing: Pairing[int, int] = Pairing(hold=2)
+    assert pairing.add_image(10, 10) == []
+    assert pairing.add_image(20, 20) == []
+    assert [p.image for p in pairing.add_image(30, 30)] == [10]
+    assert [p.image for p in pairing.add_image(40, 40)] == [20]
+    assert pairing.unmatched == 2
+
+
+def test_a_later_camera_info_ends_the_wait():
+    pairing: Pairing[int, int] = Pairing()
+    assert pairing.add_image(10, 10) == []
+    (pair,) = pairing.add_camera_info(11, 11)
+    assert pair.camera_info is None, "nothing earlier: uncalibrated, though a later one is known"
+    assert not pair.matched
+
+
+def test_camera_info_published_once():
+    images = " ".join(f"i{n}" for n in range(2, 40))
+    assert run(f"c1 {images}") == [(n, 1) for n in range(2, 40)]
+
+
+def test_images_stop_waiting_when_no_camera_info_ever_matches():
+    pairing: Pairing[int, int] = Pairing()
+    pairing.add_camera_info(0, 0)
+    late = [n - pair.image for n in range(1, 30) for pair in pairing.add_image(n * FRAME_NS, n)]
+    assert late[:9] == [2] * 9
+    assert late[-15:] == [0] * 15
+    # A camera_info that comes just after its image shows that waiting is worth it again.
+    pairing.add_camera_info(29 * FRAME_NS, 29)
+    assert pairing.add_image(30 * FRAME_NS, 30) == []
+    assert [p.camera_info for p in pairing.add_camera_info(30 * FRAME_NS, 30)] == [30]
+
+
+def test_images_pass_alone_when_no_camera_info_is_expected():
+    pairing: Pairing[str, str] = Pairing(expects_camera_info=False)
+    (pair,) = pairing.add_image(1, "a")
+    assert pair.camera_info is None
+    assert pairing.add_camera_info(1, "b") == []
+    assert (pairing.matched, pairing.unmatched) == (0, 0)
+    assert pairing.flush() == []
+
+
+def test_repeated_stamps_pair_with_the_last_camera_info():
+    assert run("c0 i0 c0 i0 i0") == [(0, 0)] * 3
+    pairing: Pairing[str, str] = Pairing()
+    pairing.add_camera_info(0, "old")
+    pairing.add_camera_info(0, "new")
+    assert pairing.add_image(0, "image")[0].camera_info == "new"
+
+
+def test_camera_info_out_of_order():
+    assert run("i1 i2 c2 c1 i3 c3") == [(1, None), (2, 2), (3, 3)]
+    assert run("c2 c1 i1 i2 c3 i3") == [(1, 1), (2, 2), (3, 3)]
+
+
+def test_a_bag_in_a_loop():
+    once = " ".join(f"i{n} c{n}" for n in range(1000))
+    other_order = " ".join(f"c{n} i{n}" for n in range(1000))
+    for second in (once, other_order):
+        assert run(f"{once} {second}") == [(n, n) for n in range(1000)] * 2
+
+
+def test_memory_is_bounded():
+    pairing: Pairing[int, int] = Pairing()
+    for n in range(5000):
+        pairing.add_camera_info(n, n)
+    assert len(pairing._infos) <= 256
+    for n in range(5000, 10000):
+        pairing.add_image(n, n)
+    assert len(pairing._waiting) <= 2
+
+
+def test_negative_hold_is_refused():
+    with pytest.raises(ParameterError, match="hold: -1"):
+        Pairing(hold=-1)
+
+
+@st.composite
+def interleavings(draw):
+    """Images 0 ... n-1, some camera_info lost, the rest arriving from two images early to just before two late."""
+    count = draw(st.integers(1, 25))
+    # At least every eighth is there: longer gaps are `test_images_stop_waiting...`.
+    present = [n for n in range(count) if n % 8 == 0 or draw(st.booleans())]
+    slots: list[list[int]] = [[] for _ in range(count + 3)]
+    earliest = 0
+    for n in present:
+        earliest = draw(st.integers(max(earliest, n - 2), n + 2))
+        slots[earliest].append(n)
+    events = []
+    for n in range(count + 3):
+        events += [f"c{k}" for k in slots[n]] + ([f"i{n}"] if n < count else [])
+    return count, present, " ".join(events)
+
+
+@given(interleavings())
+def test_pairs_do_not_depend_on_the_interleaving(case):
+    count, present, events = case
+    expected = [(n, max((k for k in present if k <= n), default=None)) for n in range(count)]
+    assert run(events) == expected
