@@ -9,12 +9,12 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from imgu_ros.errors import FileError
 from imgu_ros.perception.result import Result, Stage, Status, TargetResult
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.rotation import quaternion_from_rotation
 
 _IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status")
 _COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px")
@@ -105,7 +105,7 @@ def _row(result: Result, target: TargetResult) -> list[str]:
 
 def pose_numbers(pose: Pose) -> Floats:
     """Return a pose as (7,): tx ty tz (m), qx qy qz qw (qw >= 0)."""
-    return np.concatenate((pose.t, quaternion_from_rotation(pose.R)))
+    return np.concatenate((pose.t, Rotation.from_matrix(pose.R).as_quat(canonical=True)))
 
 
 def _texts(values: Floats | None, count: int) -> list[str]:

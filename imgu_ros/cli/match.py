@@ -1,0 +1,196 @@
+"""Find a target in an image, two files, with the very chain of the live node; exits 1 when it is not found."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imgu_ros.cli.options import add_parameter_options, parameters_of
+
+if TYPE_CHECKING:
+    from imgu_ros.params import Parameters
+    from imgu_ros.perception.frame import Frame
+    from imgu_ros.perception.result import Result, TargetResult
+    from imgu_ros.vision.camera.pose import Pose
+
+HELP = "find a target in an image file: homography, and the pose when the camera is given"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("target", type=Path, metavar="TARGET", help="picture of the flat target")
+    parser.add_argument("image", type=Path, metavar="IMAGE", help="picture in which to look for it")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every number to FILE")
+    parser.add_argument("--draw", type=Path, metavar="FILE", help="write the image with the find drawn over to FILE")
+    parser.add_argument("--width-m", type=float, metavar="W", help="printed width of the target, m; for the pose")
+    parser.add_argument("--camera-info", type=Path, metavar="YAML", help="calibration of the camera; for the pose")
+    parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="IMAGE is a Bayer mosaic")
+    add_parameter_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the chain on the image, and report."""
+    parameters = _with_target(parameters_of(arguments), arguments)
+    from imgu_ros.files.target_images import load_target_images
+    from imgu_ros.perception.chain import Chain
+    from imgu_ros.perception.targets import prepare_targets
+
+    targets = prepare_targets(load_target_images(parameters.targets), parameters)
+    frame = _frame(arguments, parameters)
+    result = Chain(parameters, targets).process(frame)
+    found = result.targets[0]
+    print(described(result))
+    if arguments.json:
+        _write_text(arguments.json, json.dumps(document(result), indent=2, allow_nan=False) + "\n")
+    if arguments.draw:
+        from imgu_ros.files.images import write_image
+        from imgu_ros.report.overlay import draw_result
+
+        write_image(arguments.draw, draw_result(result))
+    if found.status.found:
+        return 0
+    print(f"imgu: error: {arguments.image}: {found.name} not found: {result.reason or found.reason}", file=sys.stderr)
+    return 1
+
+
+def described(result: Result) -> str:
+    """Return the first target's result as a few lines for people."""
+    import numpy as np
+
+    target = result.targets[0]
+    keypoints = 0 if result.keypoints is None else len(result.keypoints)
+    matches = 0 if target.matches is None else len(target.matches.matches)
+    lines = [f"{target.name}: {target.status.value}", f"  keypoints   {keypoints}", f"  matches     {matches}"]
+    if target.homography is not None and target.outline is not None:
+        lines.append(f"  inliers     {np.count_nonzero(target.homography.inliers)}")
+        lines.append(f"  residual    {target.homography.rms_px:.3f} px rms")
+        lines.append("  H           " + "\n              ".join(_row(row) for row in target.homography.H))
+        lines.append("  corners     " + ", ".join(f"({x:.2f}, {y:.2f})" for x, y in target.outline) + " px")
+    if target.pose is not None:
+        position, sigma = target.pose.t, np.sqrt(np.diag(target.pose.covariance))
+        lines.append(
+            "  position    " + ", ".join(f"{p:.4f} ± {s:.4f}" for p, s in zip(position, sigma, strict=False)) + " m"
+        )
+        lines.append(f"  rotation    ± {', '.join(f'{s:.3f}' for s in np.rad2deg(sigma[3:]))} deg")
+    elif target.pose_status:
+        lines.append(f"  no pose     {_no_pose(target)}")
+    lines.append(f"  time        {result.total_ns / 1e6:.1f} ms")
+    return "\n".join(lines)
+
+
+def document(result: Result) -> dict[str, object]:
+    """Return the first target's result as what JSON can hold; null for what is unknown."""
+    import numpy as np
+
+    target, estimate = result.targets[0], result.targets[0].homography
+    matches = target.matches
+    return {
+        "target": target.name,
+        "status": target.status.value,
+        "pose_status": target.pose_status.value,
+        "reason": result.reason or target.reason,
+        "n_keypoints": None if result.keypoints is None else len(result.keypoints),
+        "n_matches": None if matches is None else len(matches.matches),
+        "n_inliers": None if estimate is None else int(np.count_nonzero(estimate.inliers)),
+        "rms_px": None if estimate is None else estimate.rms_px,
+        "H": None if estimate is None else estimate.H.tolist(),
+        "H_covariance": None if estimate is None else estimate.covariance.tolist(),
+        "outline_px": None if target.outline is None else target.outline.tolist(),
+        "pose": None if target.pose is None else _pose_document(target.pose),
+        "solutions": [_pose_document(pose) for pose in target.solutions],
+        "ambiguity": target.ambiguity,
+        "matches": None
+        if matches is None
+        else {
+            "template_xy": matches.template_xy.tolist(),
+            "image_xy": matches.image_xy.tolist(),
+            "distance": np.asarray(matches.matches.distance, float).tolist(),
+            "inlier": matches.inliers.tolist(),
+        },
+        "ms": {stage.value: time / 1e6 for stage, time in (result.times_ns or {}).items()},
+        "total_ms": result.total_ns / 1e6,
+    }
+
+
+def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Parameters:
+    from imgu_ros.params import parameters_from
+
+    width = 0.0 if arguments.width_m is None else arguments.width_m
+    # The lists are checked together: clear the parallel ones that a parameter file may have set.
+    values: dict[str, object] = {"targets.names": [], "targets.poses": []}
+    return parameters_from(
+        {**values, "targets.images": [str(arguments.target)], "targets.widths_m": [width]}, parameters
+    )
+
+
+def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
+    from imgu_ros.files.images import read_image
+    from imgu_ros.perception.frame import Frame
+    from imgu_ros.vision.formation.cfa import BayerPattern
+    from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+
+    pixels = read_image(arguments.image)
+    if arguments.pattern:
+        from imgu_ros.errors import FileError
+
+        if pixels.ndim != 2:
+            raise FileError(f"{arguments.image}: {pixels.shape[2]} channels; need one for --pattern")
+        layout = PixelLayout(ColorModel.BAYER, BayerPattern(arguments.pattern))
+    else:
+        layout = PixelLayout(ColorModel.MONO if pixels.ndim == 2 else ColorModel.RGB)
+    camera = None
+    if arguments.camera_info:
+        from imgu_ros.files.camera_info_file import read_camera_info
+
+        camera = read_camera_info(arguments.camera_info)
+        _check_size(arguments, (camera.width, camera.height), (pixels.shape[1], pixels.shape[0]))
+    return Frame(RawImage(pixels, layout), 0, "camera", camera)
+
+
+def _check_size(arguments: argparse.Namespace, camera: tuple[int, int], image: tuple[int, int]) -> None:
+    if camera != image:
+        from imgu_ros.errors import FileError
+
+        raise FileError(
+            f"{arguments.camera_info}: calibrated for {camera[0]} x {camera[1]} px, {arguments.image} has "
+            f"{image[0]} x {image[1]} px; need the same size"
+        )
+
+
+def _pose_document(pose: Pose) -> dict[str, object]:
+    from imgu_ros.bags.frames_csv import pose_numbers
+
+    numbers = pose_numbers(pose).tolist()
+    return {
+        "position_m": numbers[:3],
+        "quaternion_xyzw": numbers[3:],
+        "covariance": pose.covariance.tolist(),
+        "rms_px": pose.rms_px,
+    }
+
+
+def _row(row: object) -> str:
+    import numpy as np
+
+    return " ".join(f"{value: .6e}" for value in np.asarray(row))
+
+
+def _no_pose(target: TargetResult) -> str:
+    words = {
+        "ambiguous": "both planar solutions fit",
+        "uncalibrated": "need --camera-info",
+        "no_size": "need --width-m",
+    }
+    return f"{target.pose_status.value}: {words.get(target.pose_status.value, target.reason)}"
+
+
+def _write_text(path: Path, text: str) -> None:
+    from imgu_ros.errors import FileError
+
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None

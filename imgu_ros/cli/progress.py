@@ -1,0 +1,68 @@
+"""Progress of long work: a bar on a terminal, a plain line now and then elsewhere; both on stderr."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+_LINE_EVERY_S = 5.0
+
+
+class Progress:
+    """Counts units of work; a context manager.
+
+    Parameters
+    ----------
+    label : what is counted, such as `replay`
+    unit : plural of the unit, such as `frames`
+    """
+
+    def __init__(self, label: str, unit: str = "frames") -> None:
+        self._label = label
+        self._unit = unit
+        self._bar: Any = None
+        self._on_terminal = sys.stderr.isatty()
+        self._done = 0
+        self._total: int | None = None
+        self._next_line_s = time.monotonic() + _LINE_EVERY_S
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()
+        elif kind is None and self._done:
+            self._line()
+
+    def __call__(self, done: int, total: int | None) -> None:
+        """Say that `done` of `total` units (None: how many is not known) are done."""
+        self._done, self._total = done, total
+        if self._on_terminal:
+            self._advance_bar()
+        elif time.monotonic() >= self._next_line_s:
+            self._line()
+            self._next_line_s = time.monotonic() + _LINE_EVERY_S
+
+    def say(self, text: str) -> None:
+        """Print a line on stderr without tearing the bar."""
+        if self._bar is None:
+            print(text, file=sys.stderr, flush=True)
+        else:
+            self._bar.write(text, file=sys.stderr)
+
+    def _advance_bar(self) -> None:
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(desc=self._label, unit=f" {self._unit}", total=self._total, dynamic_ncols=True)
+        self._bar.total = self._total
+        self._bar.update(self._done - self._bar.n)
+
+    def _line(self) -> None:
+        of_total = f" of {self._total}" if self._total else ""
+        print(f"{self._label}: {self._done}{of_total} {self._unit}", file=sys.stderr, flush=True)

@@ -1,0 +1,92 @@
+"""Run the whole chain over one recorded image topic, offline: no DDS, no rclpy.
+
+Reads rosbag1 and rosbag2 (SQLite, MCAP, compressed); several paths are the parts of one recording. Writes into DIR:
+frames.csv (a row for every frame and target), poses_<target>.tum, ambiguous.csv, results/ (a rosbag2), summary.json
+and report.html.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imgu_ros.cli.options import add_parameter_options, parameters_of
+
+if TYPE_CHECKING:
+    from imgu_ros.report.summary import Percentiles, Summary, TargetSummary
+
+HELP = "run the chain over a recorded bag: poses, a results bag, a report"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="rosbag1 file, rosbag2 folder or file")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results; made if needed")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="truth.csv of `imgu simulate`: report the errors")
+    parser.add_argument(
+        "--record", nargs="+", action="extend", default=[], metavar="TOPIC",
+        help="also record these: keypoints, matches, path, image_color, image_mono, debug_image, ...",
+    )  # fmt: skip
+    parser.add_argument("--overwrite", action="store_true", help="replace the results of an earlier replay in DIR")
+    add_parameter_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay, print what came out, and say where it is."""
+    parameters = parameters_of(arguments)
+    from imgu_ros.bags.replay import replay
+    from imgu_ros.cli.progress import Progress
+
+    with Progress("replay") as progress:
+        summary = replay(
+            arguments.bags,
+            arguments.out,
+            parameters,
+            truth=arguments.truth,
+            record=arguments.record,
+            overwrite=arguments.overwrite,
+            on_progress=progress,
+            on_warning=lambda text: progress.say(f"imgu: warning: {text}"),
+        )
+    print(accuracy_table(summary))
+    print(f"\n{arguments.out / 'report.html'}")
+    return 0
+
+
+def accuracy_table(summary: Summary) -> str:
+    """Return what came out of a replay as lines of text."""
+    from imgu_ros.report.html import figures
+
+    lines: list[str] = []
+    for target in summary.targets:
+        lines += _target_lines(target)
+    lines.append(f"{summary.frames} frames, {summary.rejected} rejected, {figures(summary.frames_per_s)} frames/s")
+    if summary.total_ms is not None:
+        stages = [f"{name} {figures(times.p50, 2)}" for name, times in summary.stage_ms.items()]
+        lines.append(f"ms a frame (p50): {figures(summary.total_ms.p50)} = {', '.join(stages)}")
+    return "\n".join(lines)
+
+
+def _target_lines(target: TargetSummary) -> list[str]:
+    from imgu_ros.report.html import figures
+
+    lines = [f"{target.name}", f"  {'found / frames':<30}{target.found} / {target.frames}"]
+
+    def add(name: str, values: Percentiles | None) -> None:
+        if values is not None:
+            lines.append(f"  {name:<30}{figures(values.p50)} / {figures(values.p95)}")
+
+    add("inliers, p50 / p95", target.n_inliers)
+    add("residual px, p50 / p95", target.rms_px)
+    add("corner error px, p50 / p95", target.corner_error_px)
+    add("rotation error deg, p50 / p95", target.rotation_error_deg)
+    add("translation error %, p50 / p95", target.translation_error_percent)
+    missing = [f"{count} {name}" for name, count in target.status.items() if count and name not in _FOUND]
+    missing += [f"{count} {name}" for name, count in target.pose_status.items() if count and name != "metric"]
+    if missing:
+        lines.append(f"  {'without a find or a pose':<30}{', '.join(missing)}")
+    return lines
+
+
+_FOUND = ("tracked", "detected")

@@ -1,0 +1,120 @@
+"""`report.html`: one self-contained page about a replay."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jinja2
+
+from imgu_ros.errors import FileError
+from imgu_ros.params import declarations
+from imgu_ros.report import plots
+from imgu_ros.report.samples import Sample
+from imgu_ros.report.summary import Percentiles, Summary
+from imgu_ros.report.table import FrameTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI = 150
+_MOST_TRAJECTORIES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture in the page: data URI and the words beside it."""
+
+    uri: str
+    title: str
+    caption: str
+
+
+def write_report(path: Path, table: FrameTable, summary: Summary, samples: Sequence[Sample]) -> None:
+    """Write the report.
+
+    Parameters
+    ----------
+    path : the HTML file, replaced when it exists
+    table, summary, samples : of one replay
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("imgu_ros.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["figures"] = figures
+    defaults = {known.name: known.default for known in declarations()}
+    page = environment.get_template("report.html.j2").render(
+        summary=summary,
+        figures=list(_figures(table)),
+        samples=[_sample_picture(sample, table) for sample in samples],
+        changed={name: value for name, value in summary.parameters.items() if value != defaults.get(name)},
+    )
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+
+
+def figures(value: float | Percentiles | None, digits: int = 3) -> str:
+    """Return a number with that many significant digits, without an exponent where it reads well; a dash for None."""
+    if value is None:
+        return "–"
+    if isinstance(value, Percentiles):
+        return f"{figures(value.p50, digits)} / {figures(value.p95, digits)}"
+    if value and not 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{digits - 1}e}"
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if abs(rounded) >= 10 ** (digits - 1) else f"{value:#.{digits}g}".rstrip(".")
+
+
+def _figures(table: FrameTable) -> Iterator[Picture]:
+    if not len(table):
+        return
+    for index, name in enumerate(table.targets[:_MOST_TRAJECTORIES]):
+        trajectory = plots.plot_trajectory(table, index)
+        if trajectory is not None:
+            title = "Trajectory" if len(table.targets) == 1 else f"Trajectory before {name}"
+            yield _plot(
+                trajectory, title, "The camera in the target's frame: x right, y up, z out of the printed face."
+            )
+    errors = plots.plot_errors(table)
+    if errors is not None:
+        caption = "Against the truth file. Dashed: the error that the estimate's own covariance predicts (1σ)."
+        yield _plot(errors, "Errors over time", caption)
+    else:
+        precision = plots.plot_precision(table)
+        if precision is not None:
+            caption = "No truth file was given: this is what the estimates say of themselves, not their error."
+            yield _plot(precision, "Precision over time", caption)
+    yield _plot(plots.plot_status(table), "Status over time", "Each target's status; tentative matches and inliers.")
+    times = plots.plot_times(table)
+    if times is not None:
+        yield _plot(times, "Stage times", "Time in the chain, without reading and writing.")
+
+
+def _plot(figure: Figure, title: str, caption: str) -> Picture:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    return Picture(_uri("image/png", buffer.getvalue()), title, caption)
+
+
+def _sample_picture(sample: Sample, table: FrameTable) -> Picture:
+    seconds = (sample.stamp_ns - int(table.stamp_ns.min())) / 1e9 if len(table) else 0.0
+    return Picture(_uri("image/jpeg", sample.jpeg), f"frame {sample.index}, {seconds:.2f} s", sample.caption)
+
+
+def _uri(media_type: str, data: bytes) -> str:
+    return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"

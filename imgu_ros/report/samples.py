@@ -1,0 +1,84 @@
+"""A handful of annotated frames, spread over a replay of unknown length, in bounded memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+
+from imgu_ros.errors import FileError
+from imgu_ros.perception.result import Result
+from imgu_ros.report.overlay import draw_result
+from imgu_ros.types import Image
+
+_KEPT = 6
+_MISSES = 3
+_LONGEST_SIDE = 960
+_QUALITY = 85
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One annotated frame.
+
+    Attributes
+    ----------
+    index : the frame's number in the replay, from 0
+    stamp_ns : its stamp
+    caption : what became of the targets
+    jpeg : the picture, at most 960 px long
+    """
+
+    index: int
+    stamp_ns: int
+    caption: str
+    jpeg: bytes
+
+
+class Samples:
+    """Collects samples while frames pass by: about six, evenly spread, and the first three in which nothing was found.
+
+    Every `stride`-th frame is kept; when twice as many as wanted are held, every other one is dropped and the stride
+    doubles. So n frames cost O(log n) drawings, and which ones are kept depends on nothing but n.
+    """
+
+    def __init__(self) -> None:
+        self._stride = 1
+        self._even: list[Sample] = []
+        self._misses: list[Sample] = []
+
+    def offer(self, index: int, result: Result) -> None:
+        """Look at frame number `index`, and draw it when it is to be kept."""
+        is_miss = len(self._misses) < _MISSES and not any(target.status.found for target in result.targets)
+        if index % self._stride and not is_miss:
+            return
+        sample = _sample(index, result)
+        if is_miss:
+            self._misses.append(sample)
+        if index % self._stride == 0:
+            self._even.append(sample)
+        if len(self._even) == 2 * _KEPT:
+            self._stride *= 2
+            self._even = [kept for kept in self._even if kept.index % self._stride == 0]
+
+    def chosen(self) -> tuple[Sample, ...]:
+        """Return the kept samples in order of time."""
+        step = max(1, round(len(self._even) / _KEPT))
+        kept = {sample.index: sample for sample in (*self._even[::step], *self._misses)}
+        return tuple(kept[index] for index in sorted(kept))
+
+
+def _sample(index: int, result: Result) -> Sample:
+    caption = ", ".join(f"{t.name}: {t.status.value}" for t in result.targets)
+    return Sample(index, result.frame.stamp_ns, caption, _jpeg(draw_result(result)))
+
+
+def _jpeg(picture: Image) -> bytes:
+    longest = max(picture.shape[:2])
+    if longest > _LONGEST_SIDE:
+        scale = _LONGEST_SIDE / longest
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    if not done:
+        raise FileError(f"sample frame: {picture.shape} cannot be encoded as JPEG; need a picture")
+    return data.tobytes()
