@@ -38,7 +38,9 @@ setup(
     entry_points={"console_scripts": ["imgu = imgu_ros.cli.main:main"]},
     zip_safe=False,
     install_requires=[
+        'backports.zstd>=1.0; python_version < "3.14"',
         "jinja2>=3.1",
+        "lz4>=4.0",
         "matplotlib>=3.6",
         "numpy>=1.26",
         "opencv-python-headless>=4.6",

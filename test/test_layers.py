@@ -221,22 +221,7 @@ def test_rules_let_pass_what_is_allowed(name: str, text: str) -> None:
 
 #: Places of one machine, and hosts of package indexes: the repository is for every machine.
 FOREIGN = re.compile(r"(?<![\w.~$}>-])/(home|root|tmp|work|Users)/\w|pypi\.org|pythonhosted", re.IGNORECASE)
-TEXT_FILES = {
-    "",
-    ".cfg",
-    ".in",
-    ".json",
-    ".md",
-    ".py",
-    ".rst",
-    ".rviz",
-    ".sh",
-    ".toml",
-    ".txt",
-    ".xml",
-    ".yaml",
-    ".yml",
-}
+BINARY = {".png", ".jpg", ".pyc", ".mcap", ".db3", ".bag", ".npz", ".tiff", ".pgm"}
 FOLDERS = (".ci", "benchmarks", "config", "docs", "imgu_ros", "launch", "resource", "scripts", "test")
 
 
@@ -246,7 +231,7 @@ def test_repository_names_no_machine() -> None:
     found = [
         f"{path.relative_to(REPOSITORY)}:{number}: {line.strip()}"
         for path in files
-        if path.suffix in TEXT_FILES
+        if path.suffix not in BINARY
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
         if FOREIGN.search(line)
     ]

@@ -1,0 +1,217 @@
+"""What pip and colcon are told: files, dependencies, pins, the command."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+PACKAGE = REPOSITORY / "imgu_ros"
+CONSTRAINTS = ("constraints.txt", "constraints-jazzy.txt")
+PYTHONS = ("3.11", "3.12")
+
+#: Imported module -> (name for pip, rosdep key; empty: comes with another key's).
+DISTRIBUTIONS = {
+    "backports": ("backports-zstd", ""),
+    "cv2": ("opencv-python-headless", "python3-opencv"),
+    "jinja2": ("jinja2", "python3-jinja2"),
+    "lz4": ("lz4", "python3-lz4"),
+    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "numpy": ("numpy", "python3-numpy"),
+    "rosbags": ("rosbags", "python3-rosbags-pip"),
+    "scipy": ("scipy", "python3-scipy"),
+    "tqdm": ("tqdm", "python3-tqdm"),
+    "yaml": ("pyyaml", "python3-yaml"),
+}
+
+
+@pytest.fixture(scope="module")
+def manifest() -> ElementTree.Element:
+    return ElementTree.parse(REPOSITORY / "package.xml").getroot()
+
+
+@pytest.fixture(scope="module")
+def arguments() -> dict[str, Any]:
+    """What setup.py passes to setuptools."""
+    setuptools = pytest.importorskip("setuptools")
+    caught: dict[str, Any] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(REPOSITORY)
+        patch.setattr(setuptools, "setup", caught.update)
+        runpy.run_path("setup.py")
+    return caught
+
+
+def imported_roots(folder: Path) -> set[str]:
+    roots = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                roots.update(alias.name.partition(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                roots.add(node.module.partition(".")[0])
+    # `compression` is in the standard library from Python 3.14 on.
+    return roots - set(sys.stdlib_module_names) - {"compression", "imgu_ros"}
+
+
+def pins(file: str, python: str) -> dict[str, str]:
+    """Return the versions that a constraints file pins for a version of Python, by canonical name."""
+    found = {}
+    for line in (REPOSITORY / file).read_text().splitlines():
+        if line.startswith("#"):
+            continue
+        pin = Requirement(line)
+        (specifier,) = pin.specifier
+        assert specifier.operator == "==", line
+        if pin.marker is None or pin.marker.evaluate({"python_version": python, "python_full_version": f"{python}.0"}):
+            assert canonicalize_name(pin.name) not in found, f"{file}: {pin.name} twice for {python}"
+            found[canonicalize_name(pin.name)] = specifier.version
+    return found
+
+
+def test_manifest_is_an_ament_python_package(manifest: ElementTree.Element, arguments: dict[str, Any]) -> None:
+    assert manifest.get("format") == "3"
+    assert manifest.findtext("export/build_type") == "ament_python"
+    assert manifest.findtext("license") == "Apache-2.0"
+    assert (arguments["name"], arguments["version"]) == ("imgu_ros", manifest.findtext("version"))
+    assert "Apache License" in (REPOSITORY / "LICENSE").read_text()
+
+
+def test_every_module_and_data_file_is_installed(arguments: dict[str, Any]) -> None:
+    folders = {path.parent for path in PACKAGE.rglob("*.py")}
+    assert {".".join(folder.relative_to(REPOSITORY).parts) for folder in folders} == set(arguments["packages"])
+    patterns = arguments["package_data"][""]
+    others = [
+        path
+        for path in PACKAGE.rglob("*")
+        if path.is_file() and path.suffix not in {".py", ".pyc"} and "__pycache__" not in path.parts
+    ]
+    for path in others:
+        package = next(folder for folder in path.parents if folder in folders)
+        assert any(path in package.glob(pattern) for pattern in patterns), f"{path}: not in setup.py's package_data"
+    shared = {file for _, files in arguments["data_files"] for file in files}
+    wanted = {
+        str(path.relative_to(REPOSITORY))
+        for folder in ("config", "launch")
+        for path in (REPOSITORY / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert shared == wanted | {"package.xml", "resource/imgu_ros"}
+
+
+def test_ros_finds_the_command_and_the_package(arguments: dict[str, Any]) -> None:
+    setup_cfg = (REPOSITORY / "setup.cfg").read_text()
+    assert "[develop]\nscript_dir=$base/lib/imgu_ros\n" in setup_cfg
+    assert "[install]\ninstall_scripts=$base/lib/imgu_ros\n" in setup_cfg
+    assert ("share/ament_index/resource_index/packages", ["resource/imgu_ros"]) in arguments["data_files"]
+
+
+def test_command_exists(arguments: dict[str, Any]) -> None:
+    (script,) = arguments["entry_points"]["console_scripts"]
+    name, module, function = re.fullmatch(r"(\w+) = ([\w.]+):(\w+)", script).groups()
+    assert name == "imgu"
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_imports_are_declared(arguments: dict[str, Any], manifest: ElementTree.Element) -> None:
+    required = {canonicalize_name(Requirement(line).name) for line in arguments["install_requires"]}
+    keys = {item.text for item in manifest.findall("exec_depend")}
+    used = imported_roots(PACKAGE)
+    third_party = {root for root in used if root in DISTRIBUTIONS}
+    # What is no library from pip must be a ROS package, declared under its own name.
+    assert used - third_party <= keys
+    assert {DISTRIBUTIONS[root][0] for root in third_party} == required
+    assert {DISTRIBUTIONS[root][1] for root in third_party} == {key for key in keys if key.startswith("python3-")}
+    assert (
+        imported_roots(REPOSITORY / "launch") - {"launch", "launch_ros", "lifecycle_msgs", "ament_index_python"}
+        == set()
+    )
+
+
+@pytest.mark.parametrize("file", CONSTRAINTS)
+@pytest.mark.parametrize("python", PYTHONS)
+def test_everything_is_pinned(arguments: dict[str, Any], file: str, python: str) -> None:
+    pinned = pins(file, python)
+    extras = [line for lines in arguments["extras_require"].values() for line in lines]
+    for line in ["setuptools", *arguments["install_requires"], *extras]:
+        wanted = Requirement(line)
+        version = pinned.get(canonicalize_name(wanted.name))
+        assert version, f"{file}: {wanted.name} is not pinned for Python {python}"
+        assert version in wanted.specifier, f"{file}: {wanted.name}=={version}; setup.py needs {wanted.specifier}"
+
+
+@pytest.mark.parametrize("file", CONSTRAINTS)
+def test_dependencies_of_dependencies_are_pinned(arguments: dict[str, Any], file: str) -> None:
+    extras = [line for lines in arguments["extras_require"].values() for line in lines]
+    pinned = pins(file, f"{sys.version_info[0]}.{sys.version_info[1]}")
+    needed = set(closure([*arguments["install_requires"], *extras]))
+    assert len(needed) > 20
+    assert needed - pinned.keys() == set()
+
+
+def closure(requirements: list[str]) -> Iterator[str]:
+    """Yield the names of all that is needed, as far as it is installed here, by the distributions' own metadata."""
+    queue, seen = [Requirement(line) for line in requirements], set()
+    while queue:
+        item = queue.pop()
+        if (item.name, *sorted(item.extras)) in seen:
+            continue
+        seen.add((item.name, *sorted(item.extras)))
+        yield canonicalize_name(item.name)
+        try:
+            lines = metadata.requires(item.name) or []
+        except metadata.PackageNotFoundError:
+            continue
+        for child in map(Requirement, lines):
+            marker = child.marker
+            if marker is None or any(marker.evaluate({"extra": extra}) for extra in ["", *item.extras]):
+                queue.append(child)
+
+
+def test_jazzy_pins_are_those_of_ubuntu() -> None:
+    for python in PYTHONS:
+        pinned = pins("constraints-jazzy.txt", python)
+        assert (pinned["opencv-python-headless"], pinned["numpy"]) == ("4.6.0.66", "1.26.4")
+
+
+BLOCKED_IMPORTS = """
+import importlib, pkgutil, sys
+
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {blocked}:
+            raise ModuleNotFoundError(f"No module named {{name!r}} (blocked)", name=name)
+
+sys.meta_path.insert(0, Blocker())
+import imgu_ros
+for module in pkgutil.walk_packages(imgu_ros.__path__, "imgu_ros."):
+    if not module.name.startswith({skipped}):
+        importlib.import_module(module.name)
+"""
+
+
+@pytest.mark.parametrize(
+    ("blocked", "skipped"),
+    [
+        ({"rclpy", "sensor_msgs", "geometry_msgs", "std_msgs", "rcl_interfaces", "tf2_msgs"}, ("imgu_ros.ros.",)),
+        ({"rosbags", "rclpy"}, ("imgu_ros.ros.", "imgu_ros.bags.")),
+    ],
+    ids=["without ROS", "without bags"],
+)
+def test_modules_import(blocked: set[str], skipped: tuple[str, ...]) -> None:
+    code = BLOCKED_IMPORTS.format(blocked=sorted(blocked), skipped=skipped)
+    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
