@@ -1,0 +1,138 @@
+"""Keypoints, matches and homographies <-> sensor_msgs/PointCloud2.
+
+Columns are aligned to their size, so that a reader in C may take pointers to them; the padding is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from imgu_ros.codec.factory import MessageFactory
+from imgu_ros.codec.header import Header
+from imgu_ros.codec.point_cloud import Table, decode_point_cloud, point_cloud_message
+from imgu_ros.errors import EncodingError
+from imgu_ros.perception.result import TargetResult
+from imgu_ros.types import Image
+from imgu_ros.vision.keypoints.keypoints import Keypoints
+
+_KEYPOINT = (("x", "f4"), ("y", "f4"), ("scale", "f4"), ("angle", "f4"), ("response", "f4"), ("octave", "i4"))
+
+MATCH_DTYPE = np.dtype(
+    [
+        ("target", "i4"),
+        ("template_x", "f4"),
+        ("template_y", "f4"),
+        ("image_x", "f4"),
+        ("image_y", "f4"),
+        ("distance", "f4"),
+        ("inlier", "u1"),
+    ],
+    align=True,
+)
+
+HOMOGRAPHY_DTYPE = np.dtype(
+    [("target", "i4"), ("h", "f8", (9,)), ("covariance", "f8", (81,)), ("n_inliers", "i4"), ("rms_px", "f4")],
+    align=True,
+)
+
+
+def keypoints_message(make: MessageFactory, header: Header, keypoints: Keypoints, descriptors: Image | None) -> Any:
+    """Return keypoints as a PointCloud2.
+
+    Columns: x y scale angle response (float32), octave (int32), and with descriptors one column `descriptor` of as
+    many uint8 or float32 as they are long.
+
+    Parameters
+    ----------
+    descriptors : (N, D) uint8 or float32, in the keypoints' order; None: no such column
+
+    Raises
+    ------
+    EncodingError
+        If there is not one descriptor for each keypoint.
+    """
+    columns: list[Any] = list(_KEYPOINT)
+    if descriptors is not None:
+        if descriptors.ndim != 2 or len(descriptors) != len(keypoints) or not descriptors.shape[1]:
+            raise EncodingError(f"descriptors: shape {descriptors.shape}; need ({len(keypoints)}, D >= 1)")
+        columns.append(("descriptor", descriptors.dtype.newbyteorder("="), (descriptors.shape[1],)))
+    table = np.zeros(len(keypoints), np.dtype(columns, align=True))
+    table["x"], table["y"] = keypoints.xy.T
+    for name in ("scale", "angle", "response", "octave"):
+        table[name] = getattr(keypoints, name)
+    if descriptors is not None:
+        table["descriptor"] = descriptors
+    return point_cloud_message(make, header, table)
+
+
+def decode_keypoints(message: Any) -> tuple[Keypoints, Image | None]:
+    """Read what `keypoints_message` writes: the keypoints, and the (N, D) descriptors or None when there are none.
+
+    Raises
+    ------
+    EncodingError
+        If a column is missing, or the message is not a readable PointCloud2.
+    """
+    table = decode_point_cloud(message)
+    _require(table, [name for name, _ in _KEYPOINT])
+    columns = {name: table[name].astype(np.float64) for name, _ in _KEYPOINT}
+    xy = np.column_stack((columns["x"], columns["y"]))
+    keypoints = Keypoints(xy, columns["scale"], columns["angle"], columns["response"], table["octave"].astype(np.int32))
+    descriptors = None
+    if "descriptor" in (table.dtype.names or ()):
+        descriptors = np.ascontiguousarray(table["descriptor"]).reshape(len(table), -1 if len(table) else 0)
+    return keypoints, descriptors
+
+
+def matches_message(make: MessageFactory, header: Header, targets: Sequence[TargetResult]) -> Any:
+    """Return the matches of every target as one PointCloud2 with the columns of `MATCH_DTYPE`, best first."""
+    tables = [np.zeros(0, MATCH_DTYPE)]
+    for target in targets:
+        if target.matches is None:
+            continue
+        table = np.zeros(len(target.matches.matches), MATCH_DTYPE)
+        table["target"] = target.index
+        table["template_x"], table["template_y"] = target.matches.template_xy.T
+        table["image_x"], table["image_y"] = target.matches.image_xy.T
+        table["distance"] = target.matches.matches.distance
+        table["inlier"] = target.matches.inliers
+        tables.append(table)
+    return point_cloud_message(make, header, np.concatenate(tables))
+
+
+def decode_matches(message: Any) -> Table:
+    """Read what `matches_message` writes, a table with the columns of `MATCH_DTYPE`."""
+    table = decode_point_cloud(message)
+    _require(table, MATCH_DTYPE.names or ())
+    return table
+
+
+def homographies_message(make: MessageFactory, header: Header, targets: Sequence[TargetResult]) -> Any:
+    """Return the homographies as one PointCloud2 with the columns of `HOMOGRAPHY_DTYPE`: a row for each target seen."""
+    seen = [target for target in targets if target.homography is not None]
+    table = np.zeros(len(seen), HOMOGRAPHY_DTYPE)
+    for row, target in zip(table, seen, strict=True):
+        estimate = target.homography
+        assert estimate is not None
+        row["target"] = target.index
+        row["h"] = estimate.H.ravel()
+        row["covariance"] = estimate.covariance.ravel()
+        row["n_inliers"] = np.count_nonzero(estimate.inliers)
+        row["rms_px"] = estimate.rms_px
+    return point_cloud_message(make, header, table)
+
+
+def decode_homographies(message: Any) -> Table:
+    """Read what `homographies_message` writes, a table with the columns of `HOMOGRAPHY_DTYPE`."""
+    table = decode_point_cloud(message)
+    _require(table, HOMOGRAPHY_DTYPE.names or ())
+    return table
+
+
+def _require(table: Table, names: Sequence[str]) -> None:
+    missing = [name for name in names if name not in (table.dtype.names or ())]
+    if missing:
+        raise EncodingError(f"point cloud: fields {', '.join(table.dtype.names or ())}; need {', '.join(missing)} too")

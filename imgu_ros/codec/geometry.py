@@ -1,0 +1,152 @@
+"""Outlines, poses, odometry, paths and transforms -> messages."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imgu_ros.codec.factory import MessageFactory
+from imgu_ros.codec.header import Header, header_message
+from imgu_ros.codec.transform import RigidTransform, inverse_pose
+from imgu_ros.errors import ParameterError
+from imgu_ros.types import Floats, Matrix3, Points
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rotation import quaternion
+
+#: Variance that says "unknown" in nav_msgs/Odometry.
+UNKNOWN_VARIANCE = 1e6
+
+_PATH_PERIOD_NS = 1_000_000_000
+
+
+def outline_message(make: MessageFactory, header: Header, outline: Points) -> Any:
+    """Return a geometry_msgs/PolygonStamped of points in the image, (N, 2) px, with z = 0."""
+    points = [make("geometry_msgs/msg/Point32", x=float(x), y=float(y), z=0.0) for x, y in outline]
+    polygon = make("geometry_msgs/msg/Polygon", points=points)
+    return make("geometry_msgs/msg/PolygonStamped", header=header_message(make, header), polygon=polygon)
+
+
+def pose_message(make: MessageFactory, header: Header, pose: Pose) -> Any:
+    """Return a geometry_msgs/PoseWithCovarianceStamped; the pose's destination is the header's frame."""
+    return make(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        header=header_message(make, header),
+        pose=_pose_with_covariance(make, pose),
+    )
+
+
+def odometry_message(make: MessageFactory, header: Header, target_frame: str, camera_from_target: Pose) -> Any:
+    """Return a nav_msgs/Odometry of the camera in the target's frame.
+
+    Parameters
+    ----------
+    header : the image's: its frame, the camera's, becomes the child frame
+    target_frame : becomes the header's frame
+    camera_from_target : is inverted, its covariance with it; the twist is unknown: zero, with variances of 1e6
+    """
+    zero = _vector(make, np.zeros(3))
+    unknown = UNKNOWN_VARIANCE * np.eye(6)
+    return make(
+        "nav_msgs/msg/Odometry",
+        header=header_message(make, Header(header.stamp_ns, target_frame)),
+        child_frame_id=header.frame_id,
+        pose=_pose_with_covariance(make, inverse_pose(camera_from_target)),
+        twist=make(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
+            covariance=unknown.reshape(36),
+        ),
+    )
+
+
+class PathHistory:
+    """The way of the camera before one target, as nav_msgs/Path at most once a second of the frames' stamps.
+
+    A path holds the last `max_length` poses; when stamps jump back by more than a second it starts anew.
+
+    Parameters
+    ----------
+    target_frame : the frame that the poses are given in
+    max_length : most poses, >= 1
+    """
+
+    def __init__(self, make: MessageFactory, target_frame: str, max_length: int) -> None:
+        if max_length < 1:
+            raise ParameterError(f"path.max_length: {max_length}; need at least 1")
+        self._make = make
+        self._target_frame = target_frame
+        self._poses: deque[Any] = deque(maxlen=max_length)
+        self._last_ns: int | None = None
+        self._sent_ns: int | None = None
+
+    def add(self, stamp_ns: int, camera_from_target: Pose) -> Any | None:
+        """Add the camera's pose; return the nav_msgs/Path when one is due, else None."""
+        if self._last_ns is not None and stamp_ns < self._last_ns - _PATH_PERIOD_NS:
+            self._poses.clear()
+            self._sent_ns = None
+        self._last_ns = stamp_ns
+        make, header = self._make, Header(stamp_ns, self._target_frame)
+        target_from_camera = inverse_pose(camera_from_target)
+        self._poses.append(
+            make(
+                "geometry_msgs/msg/PoseStamped",
+                header=header_message(make, header),
+                pose=_pose(make, target_from_camera.R, target_from_camera.t),
+            )
+        )
+        if self._sent_ns is not None and stamp_ns < self._sent_ns + _PATH_PERIOD_NS:
+            return None
+        self._sent_ns = stamp_ns
+        return make("nav_msgs/msg/Path", header=header_message(make, header), poses=list(self._poses))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StampedTransform:
+    """`parent_from_child`, and the names of the two frames: what /tf carries."""
+
+    parent: str
+    child: str
+    parent_from_child: RigidTransform
+
+
+def tf_message(make: MessageFactory, stamp_ns: int, transforms: Sequence[StampedTransform]) -> Any:
+    """Return a tf2_msgs/TFMessage."""
+    messages = [
+        make(
+            "geometry_msgs/msg/TransformStamped",
+            header=header_message(make, Header(stamp_ns, transform.parent)),
+            child_frame_id=transform.child,
+            transform=make(
+                "geometry_msgs/msg/Transform",
+                translation=_vector(make, transform.parent_from_child.t),
+                rotation=_quaternion(make, transform.parent_from_child.R),
+            ),
+        )
+        for transform in transforms
+    ]
+    return make("tf2_msgs/msg/TFMessage", transforms=messages)
+
+
+def _pose_with_covariance(make: MessageFactory, pose: Pose) -> Any:
+    covariance = np.array(pose.covariance, np.float64).reshape(36)
+    return make("geometry_msgs/msg/PoseWithCovariance", pose=_pose(make, pose.R, pose.t), covariance=covariance)
+
+
+def _pose(make: MessageFactory, R: Matrix3, t: Floats) -> Any:
+    x, y, z = (float(value) for value in t)
+    position = make("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    return make("geometry_msgs/msg/Pose", position=position, orientation=_quaternion(make, R))
+
+
+def _vector(make: MessageFactory, values: Floats) -> Any:
+    x, y, z = (float(value) for value in values)
+    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _quaternion(make: MessageFactory, R: Matrix3) -> Any:
+    x, y, z, w = (float(value) for value in quaternion(R))
+    return make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
