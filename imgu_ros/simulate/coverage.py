@@ -16,36 +16,31 @@ def rectangle_coverage(on_plane: PlaneMap, width: float, height: float) -> Image
     """
     m = on_plane
     # No point of a pixel is further than this from its centre, in plane coordinates.
-    reach_u, reach_v = np.abs(m.ux) + np.abs(m.uy), np.abs(m.vx) + np.abs(m.vy)
-    du, dv = width / 2 - np.abs(m.u - (width - 1) / 2), height / 2 - np.abs(m.v - (height - 1) / 2)
-    share = ((du > 0) & (dv > 0) & m.front).astype(np.float32)
-    band = m.front & (du > -reach_u) & (dv > -reach_v) & ((du < reach_u) | (dv < reach_v))
-    index = np.nonzero(band)
-    if not len(index[0]):
-        return share
-    u, v, ux, uy, vx, vy = (a[index] for a in (m.u, m.v, m.ux, m.uy, m.vx, m.vy))
-    inside = np.ones(len(u), np.float32)
-    for distance, gx, gy in (
-        (u + 0.5, ux, uy),
-        (width - 0.5 - u, ux, uy),
-        (v + 0.5, vx, vy),
-        (height - 0.5 - v, vx, vy),
-    ):
-        inside *= _half_plane_share(distance, gx, gy)
-    share[index] = inside
+    reach_u = float(np.abs(m.ux).max() + np.abs(m.uy).max())
+    reach_v = float(np.abs(m.vx).max() + np.abs(m.vy).max())
+    du = np.float32(width / 2) - np.abs(m.u - np.float32((width - 1) / 2))
+    dv = np.float32(height / 2) - np.abs(m.v - np.float32((height - 1) / 2))
+    share = ((du > reach_u) & (dv > reach_v)).astype(np.float32)
+    band = np.flatnonzero((du > -reach_u) & (dv > -reach_v) & (share == 0))
+    if len(band):
+        u, v, ux, uy, vx, vy = (a.ravel()[band] for a in (m.u, m.v, m.ux, m.uy, m.vx, m.vy))
+        distances = np.stack((u + 0.5, width - 0.5 - u, v + 0.5, height - 0.5 - v)).astype(np.float32)
+        shares = _half_plane_share(distances, np.stack((ux, ux, vx, vx)), np.stack((uy, uy, vy, vy)))
+        share.ravel()[band] = shares.prod(axis=0)
+    if not m.front.all():
+        share[~m.front] = 0
     return share
 
 
 def _half_plane_share(value: Image, gx: Image, gy: Image) -> Image:
     """Return the share of the unit pixel where the linear function with this central value and gradient is positive."""
+    gx, gy = np.abs(gx), np.abs(gy)
     length = np.hypot(gx, gy)
-    long = np.maximum(np.abs(gx), np.abs(gy)) / length
-    short = np.minimum(np.abs(gx), np.abs(gy)) / length
+    long, short = np.maximum(gx, gy) / length, np.minimum(gx, gy) / length
     d = value / length
-    reach = (long + short) / 2
-    away = np.abs(d)
+    reach, away = (long + short) / 2, np.abs(d)
     # The distance over the pixel is the sum of two uniform variables: its distribution is a trapezoid.
     tail = np.maximum(reach - away, 0) ** 2 / (2 * long * np.maximum(short, np.float32(1e-6)))
     share = np.where(away <= (long - short) / 2, 0.5 + away / long, 1 - tail)
     share = np.where(away >= reach, np.float32(1), share)
-    return np.where(d >= 0, share, 1 - share).astype(np.float32)
+    return np.where(d >= 0, share, 1 - share)

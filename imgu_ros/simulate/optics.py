@@ -50,26 +50,38 @@ class PixelGrid:
         H_plane_image : (3, 3), from ideal pixels, its third row positive in front of the camera
         rows, columns : with start, stop and step
         """
-        h = H_plane_image
-        if self._ideal is None:
-            x = np.arange(columns.start, columns.stop, columns.step, dtype=np.float64)[None, :]
-            y = np.arange(rows.start, rows.stop, rows.step, dtype=np.float64)[:, None]
-        else:
-            x, y = self._ideal[0][rows, columns], self._ideal[1][rows, columns]
+        x, y = self._positions(rows, columns)
+        # About the block's first pixel, where all numbers are small enough for single precision.
+        x0, y0 = float(x.flat[0]), float(y.flat[0])
+        w0 = float(H_plane_image[2] @ (x0, y0, 1.0))
+        u0, v0 = (float(H_plane_image[i] @ (x0, y0, 1.0)) / w0 if w0 > 0 else 0.0 for i in (0, 1))
+        to_block, from_block = np.eye(3), np.eye(3)
+        to_block[:2, 2], from_block[:2, 2] = (x0, y0), (-u0, -v0)
+        h = (from_block @ H_plane_image @ to_block).astype(np.float32)
+        x, y = (x - x0).astype(np.float32), (y - y0).astype(np.float32)
         w = h[2, 0] * x + (h[2, 1] * y + h[2, 2])
         front = w > 0
-        inverse = 1 / np.where(front, w, 1.0)
-        u64 = (h[0, 0] * x + (h[0, 1] * y + h[0, 2])) * inverse
-        v64 = (h[1, 0] * x + (h[1, 1] * y + h[1, 2])) * inverse
-        u, v, inverse32 = u64.astype(np.float32), v64.astype(np.float32), inverse.astype(np.float32)
-        h32 = h.astype(np.float32)
-        ux, uy = (h32[0, 0] - u * h32[2, 0]) * inverse32, (h32[0, 1] - u * h32[2, 1]) * inverse32
-        vx, vy = (h32[1, 0] - v * h32[2, 0]) * inverse32, (h32[1, 1] - v * h32[2, 1]) * inverse32
+        if not front.all():
+            w = np.where(front, w, np.float32(1))
+        inverse = 1 / w
+        u = (h[0, 0] * x + (h[0, 1] * y + h[0, 2])) * inverse
+        v = (h[1, 0] * x + (h[1, 1] * y + h[1, 2])) * inverse
+        ux, uy = (h[0, 0] - u * h[2, 0]) * inverse, (h[0, 1] - u * h[2, 1]) * inverse
+        vx, vy = (h[1, 0] - v * h[2, 0]) * inverse, (h[1, 1] - v * h[2, 1]) * inverse
         if self._ideal is not None:
             xx, xy, yx, yy = (part[rows, columns] for part in self._ideal[2:])
             ux, uy = ux * xx + uy * yx, ux * xy + uy * yy
             vx, vy = vx * xx + vy * yx, vx * xy + vy * yy
+        u += np.float32(u0)
+        v += np.float32(v0)
         return PlaneMap(u, v, ux, uy, vx, vy, front)
+
+    def _positions(self, rows: slice, columns: slice) -> tuple[Floats, Floats]:
+        """Return the ideal x and y of a block's pixels, in shapes that broadcast to it."""
+        if self._ideal is not None:
+            return self._ideal[0][rows, columns], self._ideal[1][rows, columns]
+        x = np.arange(columns.start, columns.stop, columns.step, dtype=np.float64)[None, :]
+        return x, np.arange(rows.start, rows.stop, rows.step, dtype=np.float64)[:, None]
 
 
 def _ideal_positions(camera: Camera) -> list[Floats | Image]:

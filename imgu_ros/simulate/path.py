@@ -30,7 +30,7 @@ class Motion:
     turns: float = 1.0
     tilt_rad: float = math.radians(35.0)
     zoom: float = 2.4
-    fill: float = 1.2
+    fill: float = 1.3
     drift: float = 0.06
 
 

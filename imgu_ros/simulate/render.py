@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
+from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.coverage import rectangle_coverage
 from imgu_ros.simulate.geometry import RigidTransform, image_from_template
 from imgu_ros.simulate.levels import Levels
 from imgu_ros.simulate.optics import PixelGrid, PlaneMap
-from imgu_ros.simulate.scene import PrintedImage, Scene
-from imgu_ros.simulate.wall import Wall
+from imgu_ros.simulate.scene import Scene, size_of, template_matrix
+from imgu_ros.simulate.wall import WALL_REFLECTANCE, Wall
 from imgu_ros.types import Floats, Image, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
@@ -77,40 +78,48 @@ class Renderer:
         """
         shape = (self.camera.height, self.camera.width)
         out = np.empty(shape if self._channels == 1 else (*shape, self._channels), np.float32)
-        wall = self._wall.image_from_wall(self.camera.K, camera_from_scene, self.scene.wall_m)
-        for rows in _strips(0, shape[0]):
-            self._draw_wall(out, np.linalg.inv(wall), rows)
+        self._draw_wall(out, camera_from_scene)
         poses = [camera_from_scene.after(pose) for pose in self.scene.poses]
         # The far ones first: a nearer one hides them.
         for index in sorted(range(len(poses)), key=lambda i: -float(poses[i].t[2])):
             self._draw_target(out, self.scene.targets[index], self._levels[index], poses[index])
         return out
 
-    def _draw_wall(self, out: Image, H_wall_image: Matrix3, rows: slice) -> None:
-        columns = slice(0, self.camera.width)
-        level = self._wall.level_for(self._largest_step(H_wall_image, rows, columns))
-        H = self._wall.level_from_wall(level) @ H_wall_image
+    def _draw_wall(self, out: Image, camera_from_scene: RigidTransform) -> None:
+        """Fill the picture with the wall, whose texture is coarse: one sample for each 2x2 quad is enough."""
+        height, width = out.shape[:2]
+        H_wall_image = np.linalg.inv(self._wall.image_from_wall(self.camera.K, camera_from_scene, self.scene.wall_m))
+        half = np.empty(((height + 1) // 2, (width + 1) // 2), np.float32)
+        for rows in _strips(0, height):
+            level = self._wall.level_for(2 * self._largest_step(H_wall_image, rows, slice(0, width)))
+            H = self._wall.level_from_wall(level) @ H_wall_image
+            on_wall = self._grid.plane_map(H, slice(rows.start, rows.stop, 2), slice(0, width, 2))
+            half[rows.start // 2 : (rows.stop + 1) // 2] = self._wall.roughness(level, on_wall)
+        rough = cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=cv2.INTER_LINEAR)
         for sites in self._sites:
-            where = _site_slices(sites, rows, columns)
-            self._wall.draw(_block(out, where), level, self._grid.plane_map(H, *where), sites.planes)
+            where = _site_slices(sites, slice(0, height), slice(0, width))
+            for name, channel in sites.planes:
+                block = _channel(out, where, channel)
+                np.multiply(rough[where], np.float32(WALL_REFLECTANCE[name]), out=block)
 
-    def _draw_target(self, out: Image, target: PrintedImage, levels: Levels, pose: RigidTransform) -> None:
-        H_image_template = image_from_template(self.camera.K, pose, target.target_from_template)
+    def _draw_target(self, out: Image, target: TargetImage, levels: Levels, pose: RigidTransform) -> None:
+        H_image_template = image_from_template(self.camera.K, pose, template_matrix(target))
         H_template_image = np.linalg.inv(H_image_template)
-        outline = _outline_in_image(H_image_template, target.size, self.camera)
+        outline = _outline_in_image(H_image_template, size_of(target), self.camera)
         for rows, columns in _boxes(outline, self.camera):
             level = levels.level_for(self._largest_step(H_template_image, rows, columns) / SAMPLES)
             A = levels.level_from_template(level)
-            width, height = A[0, 0] * target.size[0], A[1, 1] * target.size[1]
+            width, height = A[0, 0] * levels.size[0], A[1, 1] * levels.size[1]
             for sites in self._sites:
                 where = _site_slices(sites, rows, columns)
                 on_level = self._grid.plane_map(A @ H_template_image, *where)
                 share = rectangle_coverage(on_level, width, height)
                 colors = _area_means([levels.plane(level, name) for name, _ in sites.planes], on_level)
-                block = _block(out, where)
                 for color, (_, channel) in zip(colors, sites.planes, strict=True):
-                    channel_block = block[..., channel] if block.ndim == 3 else block
-                    channel_block += share * (color - channel_block)
+                    block = _channel(out, where, channel)
+                    color -= block
+                    color *= share
+                    block += color
 
     def _largest_step(self, H_plane_image: Matrix3, rows: slice, columns: slice) -> float:
         """Return how far apart on the plane neighbouring pixels look, at most, over a block's border."""
@@ -128,22 +137,16 @@ class Renderer:
 def _area_means(planes: list[Image], m: PlaneMap) -> list[Image]:
     """Return the mean of each plane over each pixel's area, (rows, columns) float32."""
     n = SAMPLES
-    sums = [np.zeros(m.u.shape, np.float32) for _ in planes]
-    first = -(n - 1) / (2 * n)  # the first sample's place in the pixel
-    # To first order in the offset: what is neglected is below 1e-3 of a sample's distance.
-    row_u, row_v = m.u + first * (m.ux + m.uy), m.v + first * (m.vx + m.vy)
-    dux, dvx, duy, dvy = m.ux / n, m.vx / n, m.uy / n, m.vy / n
-    for _ in range(n):
-        u, v = row_u.copy(), row_v.copy()
-        for column in range(n):
-            for total, plane in zip(sums, planes, strict=True):
-                cv2.accumulate(cv2.remap(plane, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), total)
-            if column < n - 1:
-                u += dux
-                v += dvx
-        row_u += duy
-        row_v += dvy
-    return [total * np.float32(1 / (n * n)) for total in sums]
+    rows, columns = m.u.shape
+    offsets = ((np.arange(n, dtype=np.float32) - (n - 1) / 2) / n).astype(np.float32)
+    along, down = offsets[None, :, None, None], offsets[:, None, None, None]
+    # To first order in the offset: what is neglected is below 1e-3 of the samples' distance.
+    u = (m.u + down * m.uy) + along * m.ux
+    v = (m.v + down * m.vy) + along * m.vx
+    u, v = u.reshape(n * n * rows, columns), v.reshape(n * n * rows, columns)
+    # One call for all samples of a block, whose height OpenCV limits to 32767.
+    samples = [cv2.remap(plane, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for plane in planes]
+    return [s.reshape(n * n, rows, columns).mean(axis=0) for s in samples]
 
 
 def _sites(layout: PixelLayout) -> tuple[_Sites, ...]:
@@ -164,8 +167,9 @@ def _site_slices(sites: _Sites, rows: slice, columns: slice) -> tuple[slice, sli
     )
 
 
-def _block(out: Image, where: tuple[slice, slice]) -> Image:
-    return out[where[0], where[1]]
+def _channel(out: Image, where: tuple[slice, slice], channel: int) -> Image:
+    block: Image = out[where] if out.ndim == 2 else out[*where, channel]
+    return block
 
 
 def _strips(start: int, stop: int) -> Iterator[slice]:

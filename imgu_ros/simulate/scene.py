@@ -9,43 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import ShapeError
+from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.geometry import RigidTransform, rotation_about, target_from_template
-from imgu_ros.types import Floats, Image, Matrix3, as_image
+from imgu_ros.types import Floats, Matrix3, as_image
 
 _LARGEST_LEAN_RAD = math.radians(12.0)
 _GAP = 0.12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PrintedImage:
-    """An image printed on a flat board.
-
-    Attributes
-    ----------
-    name : the target's name
-    pixels : (H, W) or (H, W, 3) RGB uint8, sRGB
-    width_m : printed width, outer edge to outer edge
-    """
-
-    name: str
-    pixels: Image
-    width_m: float
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width, height of the template, px."""
-        return self.pixels.shape[1], self.pixels.shape[0]
-
-    @property
-    def radius_m(self) -> float:
-        """Distance from the centre to a corner."""
-        width, height = self.size
-        return self.width_m / 2 * math.hypot(1.0, height / width)
-
-    @property
-    def target_from_template(self) -> Matrix3:
-        """Matrix (3, 3) from template pixels to metres on the target."""
-        return target_from_template(self.size, self.width_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +28,7 @@ class Scene:
     wall_m : distance of the wall behind the origin; it fills the plane z = -wall_m
     """
 
-    targets: tuple[PrintedImage, ...]
+    targets: tuple[TargetImage, ...]
     poses: tuple[RigidTransform, ...]
     wall_m: float
 
@@ -67,11 +36,11 @@ class Scene:
     def radius_m(self) -> float:
         """Radius of a sphere about the origin that holds every target."""
         return max(
-            float(np.linalg.norm(pose.t)) + target.radius_m for target, pose in zip(self.targets, self.poses, strict=True)
+            float(np.linalg.norm(pose.t)) + radius_of(target) for target, pose in zip(self.targets, self.poses, strict=True)
         )
 
 
-def arrange_scene(targets: Sequence[PrintedImage], seed: int = 0) -> Scene:
+def arrange_scene(targets: Sequence[TargetImage], seed: int = 0) -> Scene:
     """Place the targets: one alone upright at the origin, several in a grid, each leaning its own way.
 
     Raises
@@ -91,16 +60,32 @@ def arrange_scene(targets: Sequence[PrintedImage], seed: int = 0) -> Scene:
     if len(targets) == 1:
         return Scene(tuple(targets), (RigidTransform(np.eye(3), np.zeros(3)),), 0.02 * targets[0].width_m)
     rng = np.random.default_rng([seed, 0x5CE4])
-    radius = max(t.radius_m for t in targets)
+    radius = max(radius_of(t) for t in targets)
     poses = tuple(_leaning(centre, rng) for centre in _grid(targets))
     return Scene(tuple(targets), poses, radius * math.sin(_LARGEST_LEAN_RAD) + 0.02 * radius)
 
 
-def _grid(targets: Sequence[PrintedImage]) -> Floats:
+def size_of(target: TargetImage) -> tuple[int, int]:
+    """Return width, height of the template, px."""
+    return target.pixels.shape[1], target.pixels.shape[0]
+
+
+def radius_of(target: TargetImage) -> float:
+    """Return the distance from the target's centre to a corner, m."""
+    width, height = size_of(target)
+    return target.width_m / 2 * math.hypot(1.0, height / width)
+
+
+def template_matrix(target: TargetImage) -> Matrix3:
+    """Return `target_from_template`, the (3, 3) map from template pixels to metres on the target."""
+    return target_from_template(size_of(target), target.width_m)
+
+
+def _grid(targets: Sequence[TargetImage]) -> Floats:
     """Return centres, (N, 3) m, row by row, such that no two targets touch and their mean is the origin."""
     columns = math.ceil(math.sqrt(len(targets)))
     pitch_x = (1 + _GAP) * max(t.width_m for t in targets)
-    pitch_y = (1 + _GAP) * max(t.width_m * t.size[1] / t.size[0] for t in targets)
+    pitch_y = (1 + _GAP) * max(t.width_m * t.pixels.shape[0] / t.pixels.shape[1] for t in targets)
     # A target rolled by the largest angle needs this much more room.
     room = math.cos(_LARGEST_LEAN_RAD) + math.sin(_LARGEST_LEAN_RAD) * max(pitch_x / pitch_y, pitch_y / pitch_x)
     index = np.arange(len(targets))

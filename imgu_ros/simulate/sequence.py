@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ParameterError
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.path import Motion, camera_from_scene_at
 from imgu_ros.simulate.render import Renderer
-from imgu_ros.simulate.scene import PrintedImage, Scene, arrange_scene
+from imgu_ros.simulate.scene import Scene, arrange_scene, size_of, template_matrix
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import Truth, points_in_image, target_grid
 from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_camera
@@ -72,14 +73,14 @@ class SimulatedFrame:
 
 
 def simulate_sequence(
-    simulation: Simulation | None = None, targets: Sequence[PrintedImage] | None = None
+    simulation: Simulation | None = None, targets: Sequence[TargetImage] | None = None
 ) -> Iterator[SimulatedFrame]:
     """Yield the frames of a sequence, in order of time.
 
     Parameters
     ----------
     simulation : what to simulate; None: 60 frames of 1280x720, Bayer RGGB, 8 bits
-    targets : printed images before the camera; None: `default_targets(1, seed)`
+    targets : printed images before the camera, their widths known; None: `default_targets(1, seed)`
 
     Raises
     ------
@@ -97,10 +98,10 @@ def simulate_sequence(
         yield _frame(index, simulation, scene, camera, renderer)
 
 
-def default_targets(count: int = 1, seed: int = 0, width_m: float = 0.5) -> tuple[PrintedImage, ...]:
+def default_targets(count: int = 1, seed: int = 0, width_m: float = 0.5) -> tuple[TargetImage, ...]:
     """Return `count` procedural pictures of 1280x960 px, named poster, poster_2, ..."""
     return tuple(
-        PrintedImage("poster" if i == 0 else f"poster_{i + 1}", procedural_texture(seed=seed + 1000 * i), width_m)
+        TargetImage("poster" if i == 0 else f"poster_{i + 1}", procedural_texture(seed=seed + 1000 * i), width_m)
         for i in range(count)
     )
 
@@ -142,8 +143,8 @@ def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, ren
     truths = []
     for target, pose in zip(scene.targets, scene.poses, strict=True):
         camera_from_target = camera_from_scene.after(pose)
-        H = image_from_template(camera.K, camera_from_target, target.target_from_template)
-        if points_in_image(H, target_grid(target.size, 9), size, camera).any():
+        H = image_from_template(camera.K, camera_from_target, template_matrix(target))
+        if points_in_image(H, target_grid(size_of(target), 9), size, camera).any():
             truths.append(Truth(stamp, target.name, H, camera_from_target))
     return SimulatedFrame(frame, tuple(truths))
 

@@ -9,8 +9,9 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image
 
 _SUPERSAMPLING = 2
-_SHAPES_PER_MEGAPIXEL = 9000
-_SMALLEST_PX = 2.0
+_SHAPES_PER_MEGAPIXEL = 12_000
+_SMALLEST_PX = 2.5
+_DISC_CORNERS = 24
 
 
 def procedural_texture(width: int = 1280, height: int = 960, seed: int = 0) -> Image:
@@ -78,18 +79,15 @@ def _shapes(width: int, height: int, rng: np.random.Generator) -> list[tuple[Flo
     radii = np.sort(1 / np.sqrt(inverse_square))[::-1] * np.exp(rng.normal(0, 0.25, count))
     centres = rng.random((count, 2)) * (width, height)
     corners = rng.integers(3, 8, count)
-    colors = _colors(count, rng)
-    shapes = []
-    for radius, centre, sides, color in zip(radii, centres, corners, colors, strict=True):
-        # Seven "corners" stand for a disc.
-        sides = 24 if sides == 7 else int(sides)
-        angles = np.sort(rng.random() + (np.arange(sides) + (0 if sides == 24 else rng.uniform(-0.3, 0.3, sides))) / sides)
-        stretch = np.array([1.0, 1.0 if sides == 24 else rng.uniform(0.4, 1.0)])
-        ring = np.column_stack((np.cos(2 * np.pi * angles), np.sin(2 * np.pi * angles))) * stretch * radius
-        turn = rng.uniform(0, 2 * np.pi)
-        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        shapes.append((ring @ rotation.T + centre, tuple(float(c) for c in color)))
-    return shapes
+    corners[corners == 7] = _DISC_CORNERS
+    turn, stretch = rng.uniform(0, 2 * np.pi, count), np.where(corners == _DISC_CORNERS, 1.0, rng.uniform(0.4, 1.0, count))
+    jitter = np.where((corners == _DISC_CORNERS)[:, None], 0.0, rng.uniform(-0.3, 0.3, (count, _DISC_CORNERS)))
+    angles = 2 * np.pi * (np.arange(_DISC_CORNERS) + jitter) / corners[:, None]
+    x, y = radii[:, None] * np.cos(angles), (radii * stretch)[:, None] * np.sin(angles)
+    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    rings = np.stack((c * x - s * y + centres[:, :1], s * x + c * y + centres[:, 1:]), axis=2)
+    colors = _colors(count, rng).tolist()
+    return [(ring[:n], tuple(color)) for ring, n, color in zip(rings, corners, colors, strict=True)]
 
 
 def _colors(count: int, rng: np.random.Generator) -> Floats:

@@ -15,8 +15,8 @@ from imgu_ros.types import Image, Matrix3
 _SIDE_PX = 1024
 #: The texture repeats after this many scene radii.
 _PERIOD_RADII = 4.0
-#: Reflectance by plane.
-_REFLECTANCE = {"r": 0.24, "g": 0.23, "b": 0.21, "y": 0.23}
+#: Mean reflectance by plane.
+WALL_REFLECTANCE = {"r": 0.24, "g": 0.23, "b": 0.21, "y": 0.23}
 
 
 class Wall:
@@ -37,7 +37,7 @@ class Wall:
         return H
 
     def level_for(self, step_px: float) -> int:
-        """Return the level for one sample a pixel, `step_px` texels apart."""
+        """Return the level for single samples `step_px` texels apart."""
         wanted = math.ceil(math.log2(step_px / 1.2)) if 0 < step_px < math.inf else len(self._levels)
         return min(max(wanted, 0), len(self._levels) - 1)
 
@@ -46,10 +46,8 @@ class Wall:
         s = 0.5**level
         return np.array([[s, 0, (s - 1) / 2], [0, s, (s - 1) / 2], [0, 0, 1]])
 
-    def draw(self, block: Image, level: int, m: PlaneMap, planes: tuple[tuple[str, int], ...]) -> None:
-        """Fill a block, (rows, columns) or (rows, columns, channels), with the wall."""
-        texture = self._levels[level]
-        rough = cv2.remap(texture, m.u, m.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    def roughness(self, level: int, m: PlaneMap) -> Image:
+        """Return the wall's relative reflectance, (rows, columns) float32 around 1; beyond its horizon 1."""
+        rough = cv2.remap(self._levels[level], m.u, m.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         rough[~m.front] = 1.0
-        for name, channel in planes:
-            (block[..., channel] if block.ndim == 3 else block)[...] = _REFLECTANCE[name] * rough
+        return rough

@@ -84,16 +84,16 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator) -> Image:
     light = as_image(light, "light", channels=(1, 3, 4), dtypes=(np.float32,))
     electrons = light * np.float32(sensor.full_well_e)
     np.maximum(electrons, 0, out=electrons)
-    few = np.nonzero(electrons < _FEW_ELECTRONS)
-    few_means = electrons[few]
-    noise = rng.standard_normal(electrons.shape, dtype=np.float32)
-    read_variance = np.float32(sensor.read_noise_e**2)
+    few = np.flatnonzero(electrons < _FEW_ELECTRONS)
+    few_means = electrons.ravel()[few]
     # Shot and read noise are independent: one normal draw carries both where electrons are many.
-    noise *= np.sqrt(electrons + read_variance)
+    noise = rng.standard_normal(electrons.shape, dtype=np.float32)
+    noise *= np.sqrt(electrons + np.float32(sensor.read_noise_e**2))
     electrons += noise
-    electrons[few] = rng.poisson(few_means) + sensor.read_noise_e * rng.standard_normal(len(few_means))
+    electrons.ravel()[few] = rng.poisson(few_means) + sensor.read_noise_e * rng.standard_normal(len(few_means))
     electrons *= np.float32(sensor.gain_dn_per_e)
     # Rounding half up: an offset and a truncation.
     electrons += np.float32(sensor.black_level_dn + 0.5)
-    np.clip(electrons, 0, sensor.white_level_dn + 0.5, out=electrons)
+    np.maximum(electrons, 0, out=electrons)
+    np.minimum(electrons, np.float32(sensor.white_level_dn), out=electrons)
     return electrons.astype(np.uint8 if sensor.bits == 8 else np.uint16)
