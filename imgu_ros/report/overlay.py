@@ -65,7 +65,7 @@ class _Pen:
     @property
     def width(self) -> int:
         height, width = self.canvas.shape[:2]
-        return max(1, round(max(height, width) / 640))
+        return 1 + int(max(height, width) / 640)
 
     def line(self, points: Points, color: tuple[int, int, int], *, closed: bool = False) -> None:
         """Draw a polyline, dark-edged so that it stands out on any picture."""
@@ -99,8 +99,8 @@ def _background(result: Result) -> Image:
 def _draw_inliers(pen: _Pen, target: TargetResult) -> None:
     if target.matches is not None and target.status.found:
         xy = target.matches.image_xy[target.matches.inliers]
-        pen.dots(xy, (0, 0, 0), 1.1 * pen.width + 0.8)
-        pen.dots(xy, _INLIER, 1.1 * pen.width)
+        pen.dots(xy, (0, 0, 0), 0.8 * pen.width + 1.3)
+        pen.dots(xy, _INLIER, 0.8 * pen.width + 0.5)
 
 
 def _draw_outline(pen: _Pen, target: TargetResult, camera: Camera | None) -> None:

@@ -1,0 +1,80 @@
+"""`poses_<target>.tum` and `ambiguous.csv`: the poses of a replay for other tools."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from imgu_ros.bags.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS, pose_numbers
+from imgu_ros.errors import FileError
+from imgu_ros.perception.result import PoseStatus, Result
+from imgu_ros.types import Floats
+from imgu_ros.vision.camera.pose import Pose
+
+AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
+
+_SECOND_NS = 1_000_000_000
+
+
+class PoseFiles:
+    """Writes a trajectory for each target, and both solutions where two fit; a context manager.
+
+    Parameters
+    ----------
+    out : the folder
+    targets : names of the targets
+    """
+
+    def __init__(self, out: Path, targets: Sequence[str]) -> None:
+        self._stack = ExitStack()
+        self._trajectories = {name: self._open(out / f"poses_{name}.tum") for name in targets}
+        self._ambiguous = csv.writer(self._open(out / "ambiguous.csv"), lineterminator="\n")
+        self._ambiguous.writerow(AMBIGUOUS_COLUMNS)
+
+    def __enter__(self) -> PoseFiles:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def write(self, result: Result) -> None:
+        """Write what `result` says of poses."""
+        frame = result.frame
+        for target in result.targets:
+            if target.pose is not None:
+                numbers = " ".join(repr(float(value)) for value in target_from_camera(target.pose))
+                self._trajectories[target.name].write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
+            elif target.pose_status is PoseStatus.AMBIGUOUS:
+                for number, pose in enumerate(target.solutions, 1):
+                    values = np.concatenate(([pose.rms_px], pose_numbers(pose), pose.covariance.ravel()))
+                    texts = [repr(float(value)) for value in values]
+                    self._ambiguous.writerow([frame.stamp_ns, frame.frame_id, target.name, number, *texts])
+
+    def _open(self, path: Path) -> TextIO:
+        try:
+            return self._stack.enter_context(path.open("w", newline="", encoding="utf-8"))
+        except OSError as error:
+            self._stack.close()
+            raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+
+
+def target_from_camera(pose: Pose) -> Floats:
+    """Return the inverse of camera_from_target as (7,): tx ty tz (m), qx qy qz qw (qw >= 0)."""
+    quaternion = Rotation.from_matrix(pose.R.T).as_quat(canonical=True)
+    return np.concatenate((-pose.R.T @ pose.t, quaternion))
+
+
+def seconds_text(stamp_ns: int) -> str:
+    """Return a stamp in seconds with all its nine decimals."""
+    sign = "-" if stamp_ns < 0 else ""
+    seconds, nanoseconds = divmod(abs(stamp_ns), _SECOND_NS)
+    return f"{sign}{seconds}.{nanoseconds:09d}"

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imgu_ros.perception.result import PoseStatus, Status
+from imgu_ros.report.overlay import STATUS_COLORS, draw_result
+
+
+def _is_color(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+    return (np.abs(picture.astype(int) - color) < 40).all(axis=2)
+
+
+def test_outline_is_drawn_where_the_target_is(make_result) -> None:
+    result = make_result()
+    picture = draw_result(result)
+    assert picture.shape == (480, 640, 3)
+    assert picture.dtype == np.uint8
+    outline = result.targets[0].outline
+    drawn = _is_color(picture, STATUS_COLORS[Status.DETECTED])
+    for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        for share in (0.1, 0.5, 0.9):
+            x, y = np.rint(a + share * (b - a)).astype(int)
+            assert drawn[y - 2 : y + 3, x - 2 : x + 3].any()
+
+
+def test_outline_follows_the_lens(make_result) -> None:
+    result = make_result(distortion=(-0.3, 0.1), size=(640, 480))
+    drawn = _is_color(draw_result(result), STATUS_COLORS[Status.DETECTED])
+    target, camera = result.targets[0], result.frame.camera
+    a, b = camera.ideal_pixels(target.outline)[0][:2]
+    x, y = np.rint(camera.raw_pixels([(a + b) / 2])[0]).astype(int)
+    assert drawn[y - 2 : y + 3, x - 2 : x + 3].any()
+
+
+def test_the_frame_is_not_changed_and_the_picture_is_new(make_result) -> None:
+    result = make_result()
+    before = result.developed.color().copy()
+    draw_result(result)
+    assert np.array_equal(result.developed.color(), before)
+
+
+def test_axes_only_with_a_pose(make_result) -> None:
+    red = (230, 40, 40)
+    assert _is_color(draw_result(make_result()), red).sum() > 20
+    assert not _is_color(draw_result(make_result(pose_status=PoseStatus.AMBIGUOUS)), red).any()
+
+
+@pytest.mark.parametrize("status", [Status.LOST, Status.DEGENERATE, Status.REJECTED])
+def test_failures_are_said(make_result, status) -> None:
+    plain = make_result(status=status, reason="because é of something long " * 20)
+    picture = draw_result(plain)
+    assert _is_color(picture[:40], STATUS_COLORS[status]).sum() > 50
+
+
+def test_ten_bits_in_sixteen_are_visible(make_result) -> None:
+    result = make_result(dtype="uint16", status=Status.LOST)
+    body = draw_result(result)[100:]
+    assert body.min() < 20
+    assert body.max() > 235
+
+
+@pytest.mark.parametrize("size", [(8, 6), (64, 48), (320, 240), (2000, 1500)])
+def test_any_size(make_result, size) -> None:
+    picture = draw_result(make_result(size=size, names=("a", "b")))
+    assert picture.shape == (size[1], size[0], 3)
