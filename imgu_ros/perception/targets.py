@@ -5,7 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imgu_ros.types import Image
+import cv2
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.params import Parameters
+from imgu_ros.types import Image, Points
+from imgu_ros.vision.descriptors.describe import Descriptions, describe
+from imgu_ros.vision.keypoints.detect import detect
+from imgu_ros.vision.keypoints.spreading import spread
+from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
+
+#: A target may fill this many times the frame's longer side.
+_LARGEST_VIEW = 2
+#: Keypoints of a target for each of the frame's: it is described at every scale.
+_RICHNESS = 4
+_CORNER_QUALITY = 0.005
+_CORNER_DISTANCE_PX = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,3 +38,104 @@ class TargetImage:
     name: str
     pixels: Image
     width_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignmentLevel:
+    """A target at one scale, for alignment by patches.
+
+    Attributes
+    ----------
+    level : the picture, uint8, and its scale
+    corners : (N, 2) px of the full-resolution target, the points worth following, best spread first
+    """
+
+    level: Level
+    corners: Points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """A target, ready for the chain.
+
+    Attributes
+    ----------
+    name, width_m : as in `TargetImage`
+    grey : (H, W) uint8
+    described : keypoints and descriptors at every scale
+    alignment : octaves from fine to coarse
+    """
+
+    name: str
+    width_m: float
+    grey: Image
+    described: Descriptions
+    alignment: tuple[AlignmentLevel, ...]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the full-resolution picture, px."""
+        return self.grey.shape[1], self.grey.shape[0]
+
+    @property
+    def outline_template(self) -> Points:
+        """The outer corners, (4, 2) template px: top left, top right, bottom right, bottom left."""
+        width, height = self.size
+        return np.array(
+            [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]], np.float64
+        )
+
+    def to_metres(self, template_xy: Points) -> Points:
+        """Map template px (N, 2) to the target's plane, metres, origin at the centre, y up."""
+        width, height = self.size
+        scale = self.width_m / width
+        return (template_xy - ((width - 1) / 2, (height - 1) / 2)) * (scale, -scale)
+
+
+def prepare_targets(images: Sequence[TargetImage], parameters: Parameters) -> tuple[Target, ...]:
+    """Describe every target at every scale.
+
+    Raises
+    ------
+    ShapeError
+        If a picture is not (H, W) or (H, W, 3) uint8, or has nothing that a keypoint could be found on.
+    """
+    return tuple(_prepared(image, parameters) for image in images)
+
+
+def _prepared(image: TargetImage, parameters: Parameters) -> Target:
+    pixels = image.pixels
+    if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
+        raise ShapeError(f"target {image.name}: shape {pixels.shape} {pixels.dtype}; need (H, W) or (H, W, 3) uint8")
+    grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    pyramid = build_pyramid(
+        grey,
+        PyramidKind.FINE,
+        levels=32,
+        scales_per_octave=parameters.pyramid.scales_per_octave,
+        max_side_px=_LARGEST_VIEW * parameters.pyramid.max_side_px,
+        min_side_px=48,
+    )
+    keypoints = detect(
+        pyramid, parameters.keypoints.detector, _RICHNESS * parameters.keypoints.max_count, even_scales=True
+    )
+    described = describe(pyramid, keypoints, parameters.descriptor.kind)
+    if len(described.keypoints) < parameters.homography.min_inliers:
+        raise ShapeError(
+            f"target {image.name}: {len(described.keypoints)} keypoints; need at least "
+            f"{parameters.homography.min_inliers}: a picture with texture, and not too small"
+        )
+    octaves = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24)
+    count = parameters.refinement.max_points
+    return Target(
+        image.name, image.width_m, grey, described, tuple(_alignment(level, count) for level in octaves.levels)
+    )
+
+
+def _alignment(level: Level, count: int) -> AlignmentLevel:
+    corners = cv2.goodFeaturesToTrack(level.image, 6 * count, _CORNER_QUALITY, _CORNER_DISTANCE_PX)
+    xy = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
+    # goodFeaturesToTrack sorts by strength but does not return it: the rank serves as well.
+    rank = -np.arange(len(xy), dtype=np.float64)
+    size = (level.image.shape[1], level.image.shape[0])
+    return AlignmentLevel(level, level.to_full(xy[spread(xy, rank, size, 3 * count)]))

@@ -28,10 +28,13 @@ class Detector(StrEnum):
     ORB = "orb"
 
 
-def detect(pyramid: Pyramid, detector: Detector | str = Detector.ORB, max_count: int = 1000) -> Keypoints:
+def detect(
+    pyramid: Pyramid, detector: Detector | str = Detector.ORB, max_count: int = 1000, even_scales: bool = False
+) -> Keypoints:
     """Find keypoints on every level of a pyramid.
 
-    Each level gets a share of `max_count` in proportion to its area; within a level the strongest are taken cell
+    Each level gets a share of `max_count` in proportion to its area, or the same share with `even_scales` (for a
+    picture that will be looked for at any scale); within a level the strongest are taken cell
     by cell, so that one busy corner of the picture does not get them all.
 
     Parameters
@@ -39,6 +42,7 @@ def detect(pyramid: Pyramid, detector: Detector | str = Detector.ORB, max_count:
     pyramid : of a (H, W) uint8 image
     detector : fast, harris, dog or orb. `dog` builds its own scale space from level 0.
     max_count : most keypoints, >= 1
+    even_scales : the same share for every level
 
     Returns
     -------
@@ -56,7 +60,7 @@ def detect(pyramid: Pyramid, detector: Detector | str = Detector.ORB, max_count:
     detector = Detector(detector)
     function = _DETECTORS[detector]
     levels = pyramid.levels[:1] if detector is Detector.DOG else pyramid.levels
-    areas = np.array([level.image.size for level in levels], np.float64)
+    areas = np.array([1 if even_scales else level.image.size for level in levels], np.float64)
     shares = np.floor(max_count * areas / areas.sum()).astype(int)
     shares[0] += max_count - shares.sum()
     found = []

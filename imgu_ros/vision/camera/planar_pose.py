@@ -1,0 +1,154 @@
+"""The pose of a camera before a plane, from points of the plane (notes 8.1.5; Collins & Bartoli 2014, IPPE).
+
+A plane seen from afar fits two poses. Both are refined by reprojection error, and the quotient of the two errors
+says how sure the choice is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
+from imgu_ros.types import Floats, Matrix3, Points, as_points
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rotation import exp_so3
+from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
+from imgu_ros.vision.projective.estimate import require_spread
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarPoses:
+    """The poses that a plane's picture allows.
+
+    Attributes
+    ----------
+    solutions : one or two refined poses camera_from_plane, best first
+    ambiguity : best / second-best RMS reprojection error, 0 (clear) to 1; 0 when there is one solution
+    """
+
+    solutions: tuple[Pose, ...]
+    ambiguity: float
+
+
+def planar_poses(plane_xy: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: float | None = None) -> PlanarPoses:
+    """Estimate camera_from_plane from correspondences without outliers.
+
+    Parameters
+    ----------
+    plane_xy : (N, 2) m, on the plane z = 0, N >= 4
+    pixels : (N, 2) raw px, distortion and all
+    camera : intrinsics
+    noise_px : standard deviation of a pixel coordinate; None: from the residuals
+
+    Returns
+    -------
+    Poses with covariance sigma^2 (J^T J)^-1.
+
+    Raises
+    ------
+    TooFewPoints, DegenerateConfiguration
+        If the points do not determine a pose in front of the camera.
+    """
+    plane_xy, pixels = as_points(plane_xy, "plane_xy"), as_points(pixels, "pixels")
+    if len(plane_xy) != len(pixels):
+        raise ShapeError(f"pixels: {len(pixels)} points; need {len(plane_xy)}, one for each of plane_xy")
+    require_spread(plane_xy, "plane_xy")
+    normalized, valid = camera.undistort(pixels)
+    require_spread(normalized[valid], "pixels")
+    refined = []
+    for start in _ippe(plane_xy[valid], normalized[valid]):
+        try:
+            refined.append(_refined(plane_xy[valid], pixels[valid], camera, start, noise_px))
+        except EstimationError:
+            continue  # a start behind the camera or at a grazing angle is no solution
+    if not refined:
+        raise DegenerateConfiguration("pixels: no pose in front of the camera explains them; need a plane seen from its front")
+    refined.sort(key=lambda pose: pose.rms_px)
+    if len(refined) > 1 and _same(refined[0], refined[1]):
+        refined = refined[:1]
+    ambiguity = refined[0].rms_px / refined[1].rms_px if len(refined) > 1 and refined[1].rms_px > 0 else 0.0
+    return PlanarPoses(tuple(refined), ambiguity)
+
+
+class _PoseProblem:
+    """Reprojection residuals, (N, 2) px; the estimate is a rigid transform (4, 4) camera_from_plane."""
+
+    def __init__(self, plane_xy: Points, pixels: Points, camera: Camera) -> None:
+        self._plane = plane_xy
+        self._pixels = pixels
+        self._camera = camera
+
+    def residuals(self, estimate: Floats) -> Floats:
+        """Return projected - measured."""
+        return self._camera.project(self._in_camera(estimate)) - self._pixels
+
+    def linearise(self, estimate: Floats) -> Linearisation:
+        """Return residuals and their derivative by (x y z rx ry rz): t + xyz, Exp(r) R."""
+        points = self._in_camera(estimate)
+        projected, by_point = self._camera.project_with_jacobian(points)
+        turned = points - estimate[:3, 3]
+        by_step = np.zeros((len(points), 3, 6))
+        by_step[:, :, :3] = np.eye(3)
+        # d (Exp(r) v) / dr = -[v]x
+        by_step[:, 0, 4], by_step[:, 0, 5] = turned[:, 2], -turned[:, 1]
+        by_step[:, 1, 3], by_step[:, 1, 5] = -turned[:, 2], turned[:, 0]
+        by_step[:, 2, 3], by_step[:, 2, 4] = turned[:, 1], -turned[:, 0]
+        return Linearisation(projected - self._pixels, by_point @ by_step)
+
+    def step(self, estimate: Floats, delta: Floats) -> Floats:
+        """Return the transform moved by (x y z rx ry rz)."""
+        moved = np.eye(4)
+        moved[:3, :3] = exp_so3(delta[3:]) @ estimate[:3, :3]
+        moved[:3, 3] = estimate[:3, 3] + delta[:3]
+        return moved
+
+    def _in_camera(self, estimate: Floats) -> Floats:
+        points = self._plane @ estimate[:3, :2].T + estimate[:3, 3]
+        if not points[:, 2].min() > 0:
+            raise DegenerateConfiguration("pose: points of the plane lie behind the camera; need all in front")
+        return points
+
+
+def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
+    """Return up to two rigid transforms (4, 4) by infinitesimal plane-based pose estimation (OpenCV)."""
+    plane = np.column_stack((plane_xy, np.zeros(len(plane_xy))))
+    try:
+        count, rotations, translations, _ = cv2.solvePnPGeneric(
+            plane, np.ascontiguousarray(normalized), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
+        )
+    except cv2.error as error:
+        raise DegenerateConfiguration(f"pixels: no planar pose ({error.err}); need a plane seen from its front") from None
+    starts = []
+    for rvec, tvec in zip(rotations[:count], translations[:count], strict=True):
+        start = np.eye(4)
+        start[:3, :3] = exp_so3(np.asarray(rvec, np.float64).ravel())
+        start[:3, 3] = np.asarray(tvec, np.float64).ravel()
+        if np.isfinite(start).all():
+            starts.append(start)
+    return starts
+
+
+def _refined(plane_xy: Points, pixels: Points, camera: Camera, start: Matrix3, noise_px: float | None) -> Pose:
+    minimum = minimise(_PoseProblem(plane_xy, pixels, camera), start, max_iterations=30)
+    squared = float((minimum.linearisation.residuals**2).sum())
+    sigma = noise_px if noise_px is not None else math.sqrt(squared / max(2 * len(pixels) - 6, 1))
+    normal = minimum.normal_matrix
+    scale = np.sqrt(np.diag(normal))
+    try:
+        inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration("pose: not determined by the points; need points that span the plane") from None
+    R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
+    return Pose(R, t, sigma**2 * (inverse + inverse.T) / 2, math.sqrt(squared / (2 * len(pixels))))
+
+
+def _same(a: Pose, b: Pose) -> bool:
+    """Whether two refinements ended in the same minimum."""
+    angle = math.acos(min(1.0, max(-1.0, (float(np.trace(a.R.T @ b.R)) - 1) / 2)))
+    return angle < 1e-4 and float(np.linalg.norm(a.t - b.t)) < 1e-4 * float(np.linalg.norm(a.t))

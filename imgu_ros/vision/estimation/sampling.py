@@ -1,0 +1,95 @@
+"""Which points go into each minimal sample: uniform, or best first (PROSAC)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from enum import StrEnum
+
+import numpy as np
+
+from imgu_ros.errors import TooFewPoints
+from imgu_ros.types import Indices
+
+
+class Sampler(StrEnum):
+    """Ways to draw minimal samples."""
+
+    UNIFORM = "uniform"
+    PROSAC = "prosac"
+
+
+def draw_samples(
+    sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator, batch: int
+) -> Iterator[Indices]:
+    """Draw samples of different points without end, a batch at a time.
+
+    Parameters
+    ----------
+    sampler : uniform, or prosac: the points are sorted best first, and samples come from a slowly growing
+        set of the best (Chum & Matas 2005, equations 3 to 5; notes 7.6)
+    count : number of points N
+    sample_size : points in a sample m
+    rng : source of the draws
+    batch : samples in a batch B
+
+    Yields
+    ------
+    (B, m) indices
+
+    Raises
+    ------
+    TooFewPoints
+        If N < m.
+    """
+    if count < sample_size:
+        raise TooFewPoints(f"points: {count}; need at least {sample_size}")
+    if Sampler(sampler) is Sampler.UNIFORM:
+        return _uniform(count, sample_size, rng, batch)
+    return _prosac(count, sample_size, rng, batch)
+
+
+def _uniform(count: int, size: int, rng: np.random.Generator, batch: int) -> Iterator[Indices]:
+    while True:
+        yield _distinct(np.full(batch, count), size, rng)
+
+
+def _prosac(count: int, size: int, rng: np.random.Generator, batch: int, horizon: int = 200_000) -> Iterator[Indices]:
+    # T_n: expected number of the `horizon` uniform samples that come from the best n points only;
+    # growth[n]: the number of draws after which the set grows beyond n.
+    expected = float(horizon)
+    for i in range(size):
+        expected *= (size - i) / (count - i)
+    grown = 1
+    n = size
+    drawn = 0
+    while True:
+        pools = np.empty(batch, np.intp)
+        newest = np.zeros(batch, bool)
+        for b in range(batch):
+            drawn += 1
+            while drawn > grown and n < count:
+                following = expected * (n + 1) / (n + 1 - size)
+                grown += max(1, math.ceil(following - expected))
+                expected = following
+                n += 1
+            pools[b] = n
+            # Until the whole set is reached the newest point is in every sample.
+            newest[b] = drawn <= grown and n > size
+        samples = _distinct(pools - newest, size, rng)
+        samples[newest, -1] = pools[newest] - 1
+        yield samples
+
+
+def _distinct(pools: Indices, size: int, rng: np.random.Generator) -> Indices:
+    """Draw `size` different integers below each pool's size; pools hold at least size - 1 besides the last column."""
+    samples = np.empty((len(pools), size), np.intp)
+    for column in range(size):
+        # Draw from what is left, then step over the values already taken, in ascending order.
+        left = np.maximum(pools - column, 1)
+        value = (rng.random(len(pools)) * left).astype(np.intp)
+        taken = np.sort(samples[:, :column], axis=1)
+        for k in range(column):
+            value += value >= taken[:, k]
+        samples[:, column] = value
+    return samples

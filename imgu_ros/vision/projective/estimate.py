@@ -1,0 +1,207 @@
+"""A homography with its covariance from correspondences that may be wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
+from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Minimiser, minimise
+from imgu_ros.vision.estimation.ransac import ransac
+from imgu_ros.vision.estimation.sampling import Sampler
+from imgu_ros.vision.projective.dlt import homography_dlt, normalisation
+from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.minimal import HomographyModel
+from imgu_ros.vision.projective.refine import (
+    HomographyError,
+    SampsonProblem,
+    SymmetricProblem,
+    TransferProblem,
+    tangent_basis,
+)
+from imgu_ros.vision.projective.transform import faces_camera, normalised_homography
+
+#: Inliers must reach this far across their main direction, as a share of their extent along it (both RMS):
+#: nearer to a line, the homography is not determined across it.
+_MIN_ASPECT = 0.02
+
+
+def estimate_homography(
+    src: ArrayLike,
+    dst: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    threshold_px: float = 3.0,
+    sampler: Sampler | str = Sampler.UNIFORM,
+    confidence: float = 0.9999,
+    max_iterations: int = 2000,
+    min_inliers: int = 5,
+    error: HomographyError | str = HomographyError.SAMPSON,
+    refine: Minimiser | str | None = Minimiser.LEVENBERG_MARQUARDT,
+) -> HomographyEstimate:
+    """Estimate H with dst ~ H src by sample consensus, then minimise the inliers' error.
+
+    Parameters
+    ----------
+    src, dst : (N, 2) px, N >= 4, best first when the sampler is prosac
+    rng : source of the draws
+    threshold_px : largest distance in dst of an inlier
+    sampler, confidence, max_iterations, min_inliers : see `ransac`
+    error, refine : what the refinement minimises, and how; refine None (or error algebraic): the linear fit stays
+
+    Raises
+    ------
+    TooFewPoints
+        If there are fewer than 4 correspondences.
+    NoConsensus
+        If too few correspondences agree.
+    DegenerateConfiguration
+        If the inliers lie (nearly) on a line, or the homography is mirrored or singular.
+    """
+    src, dst = as_points(src, "src"), as_points(dst, "dst")
+    if len(src) != len(dst):
+        raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")
+    if len(src) < 4:
+        raise TooFewPoints(f"src, dst: {len(src)} correspondences; need at least 4")
+    model = HomographyModel(src, dst)
+    consensus = ransac(
+        model, threshold_px, rng,
+        sampler=sampler, confidence=confidence, max_iterations=max_iterations, min_inliers=min_inliers,
+    )
+    H = model.denormalised(consensus.hypothesis)
+    inliers = _inliers(H, src, dst, threshold_px)
+    estimate = fit_homography(src[inliers], dst[inliers], error=error, refine=refine, start=H)
+    inliers = _inliers(estimate.H, src, dst, threshold_px)
+    return HomographyEstimate(estimate.H, estimate.covariance, inliers, estimate.rms_px, consensus.iterations)
+
+
+def fit_homography(
+    src: ArrayLike,
+    dst: ArrayLike,
+    *,
+    error: HomographyError | str = HomographyError.SAMPSON,
+    refine: Minimiser | str | None = Minimiser.LEVENBERG_MARQUARDT,
+    start: Matrix3 | None = None,
+    noise_px: float | None = None,
+) -> HomographyEstimate:
+    """Fit H with dst ~ H src to correspondences without outliers.
+
+    Parameters
+    ----------
+    src, dst : (N, 2) px, N >= 4
+    error, refine : what is minimised, and how; refine None (or error algebraic): the linear fit
+    start : where the refinement starts; None: the linear fit
+    noise_px : standard deviation of one coordinate; None: from the residuals, which needs N >= 5
+
+    Returns
+    -------
+    With every correspondence an inlier and no iterations. Covariance: sigma^2 (J^T J)^-1 on the tangent of the
+    unit sphere that H lies on (HZ section 5.2, result 5.11).
+
+    Raises
+    ------
+    TooFewPoints, DegenerateConfiguration
+        If the correspondences do not determine a homography that keeps the plane's orientation.
+    """
+    src, dst = as_points(src, "src"), as_points(dst, "dst")
+    require_spread(src, "src")
+    require_spread(dst, "dst")
+    error = HomographyError(error)
+    refined = refine is not None and error is not HomographyError.ALGEBRAIC
+    H = normalised_homography(start) if refined and start is not None else homography_dlt(src, dst)
+    # Both sides centred and divided by one unit: well conditioned, and distances keep their proportions.
+    T_src, T_dst = _common_unit(src, dst)
+    problem = _PROBLEMS[error](_mapped(T_src, src), _mapped(T_dst, dst))
+    scaled = normalised_homography(T_dst @ H @ np.linalg.inv(T_src))
+    if not faces_camera(scaled, _mapped(T_src, src)):
+        raise DegenerateConfiguration("H: the points are seen mirrored or across the horizon; need one side of the plane")
+    # No step at all still gives the residuals and their derivative, from which the covariance comes.
+    minimum = minimise(problem, scaled, refine or Minimiser.GAUSS_NEWTON, max_iterations=30 if refined else 0)
+    if not faces_camera(minimum.estimate, _mapped(T_src, src)):
+        raise DegenerateConfiguration("H: the refined plane passes through the camera; need better spread points")
+    sigma = noise_px * T_dst[0, 0] if noise_px is not None else _noise(minimum.linearisation.residuals)
+    covariance = sigma**2 * _inverse(minimum.normal_matrix)
+    basis = tangent_basis(minimum.estimate)
+    H, by_scaled = _unscaled(minimum.estimate, T_src, T_dst)
+    spread_out = by_scaled @ basis
+    rms = math.sqrt(float((TransferProblem(src, dst).residuals(H) ** 2).mean()))
+    return HomographyEstimate(H, spread_out @ covariance @ spread_out.T, np.ones(len(src), bool), rms, 0)
+
+
+def require_spread(points: Points, name: str) -> None:
+    """Raise `DegenerateConfiguration` when points lie (nearly) on a line or coincide.
+
+    Raises
+    ------
+    TooFewPoints
+        If there are fewer than four.
+    """
+    if len(points) < 4:
+        raise TooFewPoints(f"{name}: {len(points)} points; need at least 4")
+    singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not singular[1] > _MIN_ASPECT * singular[0]:
+        raise DegenerateConfiguration(
+            f"{name}: {len(points)} points on a line (width / length {singular[1] / max(singular[0], 1e-300):.2g}); "
+            f"need more than {_MIN_ASPECT}"
+        )
+
+
+def _inliers(H: Matrix3, src: Points, dst: Points, threshold_px: float) -> Mask:
+    mapped = src @ H[:, :2].T + H[:, 2]
+    ahead = mapped[:, 2] > 0
+    xy = mapped[:, :2] / np.where(ahead, mapped[:, 2], 1.0)[:, None]
+    return np.asarray(ahead & (np.hypot(*(xy - dst).T) <= threshold_px))
+
+
+def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
+    """Return similarities that centre each side and scale both by the same factor."""
+    T_src, T_dst = normalisation(src), normalisation(dst)
+    unit = math.sqrt(float(T_src[0, 0] * T_dst[0, 0]))
+    for T in (T_src, T_dst):
+        T[:2] *= unit / T[0, 0]
+    return T_src, T_dst
+
+
+def _mapped(T: Matrix3, points: Points) -> Points:
+    return points @ T[:2, :2].T + T[:2, 2]
+
+
+def _noise(residuals: Floats) -> float:
+    """Return the standard deviation of one residual: their sum of squares over the degrees of freedom.
+
+    Symmetric residuals say the same thing twice, so that the normal matrix counts it twice; as their sum of squares
+    does too, and the degrees of freedom do not, the covariance comes out right.
+    """
+    return math.sqrt(float((residuals**2).sum()) / max(2 * len(residuals) - 8, 1))
+
+
+def _inverse(normal: Floats) -> Floats:
+    scale = np.sqrt(np.diag(normal))
+    if not (scale > 0).all():
+        raise DegenerateConfiguration("H: a parameter has no effect on the points; need points that span the plane")
+    try:
+        return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale), np.float64)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration("H: not determined by the points; need points that span the plane") from None
+
+
+def _unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, Floats]:
+    """Return the unit-norm H of the caller's points, and its derivative (9, 9) by the scaled one, row-major."""
+    T_inverse = np.linalg.inv(T_dst)
+    raw = T_inverse @ scaled @ T_src
+    H = normalised_homography(raw)
+    norm = math.copysign(float(np.linalg.norm(raw)), float(np.vdot(raw, H)))
+    h = H.ravel()
+    return H, (np.eye(9) - np.outer(h, h)) @ np.kron(T_inverse, T_src.T) / norm
+
+
+_PROBLEMS: dict[HomographyError, Callable[[Points, Points], LeastSquaresProblem]] = {
+    HomographyError.ALGEBRAIC: TransferProblem,
+    HomographyError.TRANSFER: TransferProblem,
+    HomographyError.SYMMETRIC: SymmetricProblem,
+    HomographyError.SAMPSON: SampsonProblem,
+}
