@@ -50,9 +50,11 @@ make_environment() {
     fi
     rm -f "$folder/installed"
     echo "${0##*/}: installing imgu_ros${extras:+ [$extras]} and what it needs (once; a minute or two)" >&2
-    "$PYTHON" -m pip install --quiet --constraint "$constraints" setuptools
+    # Python compiles what it imports; to compile everything would take as long as all the rest.
+    local install=("$PYTHON" -m pip install --quiet --no-compile --constraint "$constraints")
+    "${install[@]}" setuptools
     # The setuptools just installed builds the package, so that the build is pinned too.
-    "$PYTHON" -m pip install --quiet --constraint "$constraints" --no-build-isolation --editable "$ROOT${extras:+[$extras]}"
+    "${install[@]}" --no-build-isolation --editable "$ROOT${extras:+[$extras]}"
     echo "$wanted ,$extras," >"$folder/installed"
     if command -v flock >/dev/null; then exec 9>&-; fi
 }

@@ -28,7 +28,7 @@ DISTRIBUTIONS = {
     "backports": ("backports-zstd", ""),
     "cv2": ("opencv-python-headless", "python3-opencv"),
     "jinja2": ("jinja2", "python3-jinja2"),
-    "lz4": ("lz4", "python3-lz4"),
+    "lz4": ("lz4", ""),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "numpy": ("numpy", "python3-numpy"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
