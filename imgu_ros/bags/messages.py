@@ -38,7 +38,7 @@ def make_message(type_name: str, /, **fields: object) -> Any:
     ShapeError
         If an array has another length or data type than its field.
     """
-    layout = _layout(type_name)
+    layout = message_layout(type_name)
     unknown = fields.keys() - layout.keys()
     if unknown:
         raise BagError(f"{type_name}: no field {sorted(unknown)[0]!r}; need one of {', '.join(layout)}")
@@ -59,7 +59,7 @@ def typestore() -> Typestore:
 
 
 @cache
-def _layout(type_name: str) -> dict[str, Any]:
+def message_layout(type_name: str) -> dict[str, Any]:
     """Return the fields of a type, name -> rosbags' description."""
     known = typestore().fielddefs
     if type_name not in known:

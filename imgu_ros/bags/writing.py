@@ -14,6 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.serde import SerdeError
 
 from imgu_ros.bags.messages import typestore
+from imgu_ros.bags.storage import MAX_TIME_NS
 from imgu_ros.errors import BagError
 
 if TYPE_CHECKING:
@@ -21,12 +22,10 @@ if TYPE_CHECKING:
 
 #: Of rosbag2's formats, the one that Jazzy writes.
 _FORMAT_VERSION: Literal[9] = 9
-_MAX_TIME_NS = 2**63 - 1
 
 _PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 
-# MCAP's own chunk compression is read by every MCAP tool; compression by message, all that SQLite has, only by rosbag2's
-# readers.
+# MCAP's own chunk compression is read by every MCAP tool; compression by message, all that SQLite has, by few.
 _COMPRESSION_MODES = {"mcap": CompressionMode.STORAGE, "sqlite3": CompressionMode.MESSAGE}
 
 
@@ -84,8 +83,8 @@ class BagWriter:
             If the message is of another type than the topic's earlier ones, has a field that does not fit its type,
             or cannot be written.
         """
-        if not 0 <= time_ns < _MAX_TIME_NS:
-            raise BagError(f"{topic}: time {time_ns} ns; need 0 to {_MAX_TIME_NS - 1}")
+        if not 0 <= time_ns < MAX_TIME_NS:
+            raise BagError(f"{topic}: time {time_ns} ns; need 0 to {MAX_TIME_NS - 1}")
         type_name = getattr(message, "__msgtype__", None)
         if type_name is None:
             raise BagError(f"{topic}: {type(message).__name__}; need a message made by make_message")

@@ -1,0 +1,139 @@
+"""From recorded bytes to messages, by the definitions that the bag itself carries."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+from imgu_ros.bags.compression import decompressed_message
+from imgu_ros.bags.messages import make_message, message_layout, typestore
+from imgu_ros.bags.storage import Channel, RawMessage, Serialization
+from imgu_ros.errors import BagError
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+_IDL_SEPARATOR = "=" * 80 + "\n"
+
+
+class MessageDecoder:
+    """Makes messages of what a bag holds; a channel's definition is parsed when its first message comes."""
+
+    def __init__(self) -> None:
+        self._stores: dict[Channel, Typestore | BagError] = {}
+
+    def type_error(self, channel: Channel) -> str:
+        """Return why no message of this channel can be read; empty when its type is known."""
+        store = self._store(channel)
+        return str(store) if isinstance(store, BagError) else ""
+
+    def decoded(self, raw: RawMessage) -> Any:
+        """Return the message, with ROS 2's field names, whatever it was recorded as.
+
+        Raises
+        ------
+        BagError
+            If its type is unknown, or its bytes do not fit the type.
+        """
+        channel = raw.channel
+        store = self._store(channel)
+        if isinstance(store, BagError):
+            raise store
+        data = decompressed_message(raw.data)
+        try:
+            if channel.serialization == Serialization.ROS1:
+                message = store.deserialize_ros1(data, channel.type_name)
+                return _as_ros2(message, channel.type_name) if channel.type_name in typestore().fielddefs else message
+            # A view, so that rosbags does not copy the message to strip the encapsulation.
+            return store.deserialize_cdr(memoryview(data), channel.type_name)
+        except Exception as error:
+            # The generated deserialisers let through whatever damaged bytes provoke.
+            raise BagError(f"{channel.type_name}: {_one_line(error)}; need bytes of this type") from None
+
+    def _store(self, channel: Channel) -> Typestore | BagError:
+        if channel not in self._stores:
+            try:
+                self._stores[channel] = _typestore_of(channel)
+            except BagError as error:
+                self._stores[channel] = error
+        return self._stores[channel]
+
+
+def _typestore_of(channel: Channel) -> Typestore:
+    if channel.serialization not in (Serialization.CDR, Serialization.ROS1):
+        raise BagError(f"serialised as {channel.serialization!r}; need cdr or ros1")
+    reason = "the bag carries no definition of it"
+    parse = _PARSERS.get(channel.schema_format)
+    if channel.schema and parse:
+        try:
+            store = get_typestore(Stores.EMPTY)
+            store.register(_with_dependencies(parse(channel), store.fielddefs))
+            store.get_msgdef(channel.type_name)
+            return store
+        except Exception as error:  # whatever a damaged or exotic definition provokes in the parser
+            reason = f"its definition cannot be read ({_one_line(error)})"
+    if channel.type_name in typestore().fielddefs and channel.serialization == Serialization.CDR:
+        return typestore()
+    raise BagError(f"type {channel.type_name or 'unknown'}: {reason}")
+
+
+def _types_from_msg(channel: Channel) -> dict[str, Any]:
+    return dict(get_types_from_msg(channel.schema, channel.type_name))
+
+
+def _types_from_idl(channel: Channel) -> dict[str, Any]:
+    if not channel.schema.startswith(f"{_IDL_SEPARATOR}IDL: "):
+        return dict(get_types_from_idl(channel.schema))
+    types: dict[str, Any] = {}
+    for part in channel.schema.split(_IDL_SEPARATOR)[1:]:
+        types.update(get_types_from_idl(part.split("\n", 1)[1]))
+    return types
+
+
+_PARSERS: dict[str, Callable[[Channel], dict[str, Any]]] = {
+    "ros2msg": _types_from_msg,
+    "ros1msg": _types_from_msg,
+    "ros2idl": _types_from_idl,
+    "omgidl": _types_from_idl,
+}
+
+
+def _with_dependencies(types: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+    """Add the types that the definitions mention and do not define, as Jazzy defines them."""
+    complete = dict(types)
+    open_names = list(types)
+    while open_names:
+        for _, kind in complete[open_names.pop()][1]:
+            node, detail = kind
+            while node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                node, detail = detail[0]
+            if node == Nodetype.NAME and detail not in complete and detail not in known:
+                if detail not in typestore().fielddefs:
+                    raise BagError(f"{detail} is not defined")
+                complete[detail] = typestore().fielddefs[detail]
+                open_names.append(detail)
+    return complete
+
+
+def _as_ros2(message: Any, type_name: str) -> Any:
+    """Return a ROS 1 message as ROS 2's of the same name: K becomes k, seq goes."""
+    by_name = {field.name.lower(): getattr(message, field.name) for field in dataclasses.fields(message)}
+    values: dict[str, object] = {}
+    for name, (node, detail) in message_layout(type_name).items():
+        if name not in by_name:
+            continue
+        value = by_name[name]
+        if node == Nodetype.NAME:
+            value = _as_ros2(value, detail)
+        elif node != Nodetype.BASE and detail[0][0] == Nodetype.NAME:
+            value = [_as_ros2(item, detail[0][1]) for item in value]
+        values[name] = value
+    return make_message(type_name, **values)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,163 @@
+"""Messages of rosbag2's SQLite storage (.db3), whole or cut."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from urllib.parse import quote
+
+from rosbags.typesys.msg import normalize_msgtype
+
+from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds
+from imgu_ros.errors import BagError
+
+#: Rows whose place and time are fetched at once; their data are fetched one by one.
+_ROWS = 10_000
+
+
+class SqliteStorage:
+    """A SQLite file of rosbag2, of any of its schema versions.
+
+    Parameters
+    ----------
+    path : the file
+    name : what warnings call it
+    warnings : takes what is damaged, now and while reading
+
+    Raises
+    ------
+    BagError
+        If the file cannot be opened, is no SQLite file, or has not rosbag2's tables.
+    """
+
+    def __init__(self, path: Path, name: str, warnings: Warnings) -> None:
+        self._path, self._name, self._warnings = path, name, warnings
+        self._database = _connected(path)
+        try:
+            self._by_id = self._channels()
+            self._order = self._order_of_rows()
+            self._totals, self.start_ns, self.end_ns = self._summary()
+        except sqlite3.DatabaseError as error:
+            self.close()
+            raise BagError(f"{path}: {error}; need a readable rosbag2 SQLite file") from None
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def counts(self) -> dict[Channel, int]:
+        """Messages of each channel."""
+        totals = dict.fromkeys(self._by_id.values(), 0)
+        for identity, count in self._totals.items():
+            if identity in self._by_id:
+                totals[self._by_id[identity]] += count
+        return totals
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
+        """Yield the messages of `topics` (None: all) in time order."""
+        wanted = {i: channel for i, channel in self._by_id.items() if topics is None or channel.topic in topics}
+        for row, identity, time_ns in self._rows():
+            channel = wanted.get(identity)
+            if channel is None:
+                continue
+            data = self._data(row, time_ns)
+            if data is not None:
+                yield RawMessage(channel, time_ns, data)
+
+    def close(self) -> None:
+        """Close the database."""
+        self._database.close()
+
+    def _channels(self) -> dict[int, Channel]:
+        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        missing = {"topics", "messages"} - tables
+        if missing:
+            raise BagError(f"{self._path}: no table {sorted(missing)[0]!r}; need rosbag2's tables topics and messages")
+        schemas: dict[str, tuple[str, str]] = {}
+        if "message_definitions" in tables:
+            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            schemas = {_text(name): (_text(form), _text(text)) for name, form, text in self._database.execute(query)}
+        channels: dict[int, Channel] = {}
+        for identity, topic, kind, encoding in self._database.execute(
+            "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+        ):
+            type_name = _text(kind)
+            form, text = schemas.get(type_name, ("", ""))
+            normal = normalize_msgtype(type_name) if "/" in type_name else type_name
+            channels[identity] = Channel(_text(topic), normal, _text(encoding), form, text)
+        return channels
+
+    def _summary(self) -> tuple[dict[int, int], int, int]:
+        """Return the messages by topic's id, and the first and last time."""
+        totals: dict[int, int] = {}
+        first, last = MAX_TIME_NS, 0
+        for _, identity, time_ns in self._rows():
+            totals[identity] = totals.get(identity, 0) + 1
+            first, last = min(first, time_ns), max(last, time_ns)
+        return totals, first if totals else 0, last
+
+    def _order_of_rows(self) -> str:
+        """Return how rows are sorted: by time, or, in a cut file whose index is incomplete, as they were recorded."""
+        try:
+            for _ in self._database.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY timestamp, id"):
+                pass
+            return "timestamp, id"
+        except sqlite3.DatabaseError:
+            return "id"
+
+    def _rows(self) -> Iterator[tuple[int, int, int]]:
+        """Yield (row id, topic id, time) in order.
+
+        Sorting takes these three alone: sorting whole messages would make SQLite copy the bag into temporary files.
+        A cut file gives its rows until the first page that is missing.
+        """
+        cursor = self._database.cursor()
+        try:
+            cursor.execute(f"SELECT id, topic_id, timestamp FROM messages ORDER BY {self._order}")
+            while rows := cursor.fetchmany(_ROWS):
+                for row, identity, time_ns in rows:
+                    if type(identity) is int and type(time_ns) is int and 0 <= time_ns <= MAX_TIME_NS:
+                        yield row, identity, time_ns
+        except sqlite3.DatabaseError as error:
+            self._warnings.add(f"{self._name}: cut short or damaged ({error}): what could be read was read")
+        finally:
+            cursor.close()
+
+    def _data(self, row: int, time_ns: int) -> bytes | None:
+        """Return a message's bytes; None, and a warning, when they cannot be read."""
+        try:
+            found = self._database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
+            if found is None or not isinstance(found[0], bytes):
+                raise sqlite3.DatabaseError("its data are missing")
+            data: bytes = found[0]
+            return data
+        except (sqlite3.DatabaseError, MemoryError, OverflowError) as error:
+            self._warnings.add(
+                f"{self._name}: the message at {seconds(time_ns)} cannot be read and is skipped: {error}",
+                kind=f"{self._name}: unreadable messages",
+            )
+            return None
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    # `immutable` reads from read-only media too, but knows nothing of a write-ahead log that a recorder left behind.
+    log = path.with_name(path.name + "-wal")
+    mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
+    try:
+        database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True, check_same_thread=False)
+    except sqlite3.Error as error:
+        raise BagError(f"{path}: {error}; need a readable SQLite file") from None
+    try:
+        database.text_factory = bytes  # damaged text must not raise
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
+        # Lets SQLite open a file that has fewer pages than its header says.
+        database.execute("PRAGMA writable_schema = ON")
+        return database
+    except sqlite3.Error as error:
+        database.close()
+        raise BagError(f"{path}: {error}; need a readable SQLite file") from None
+
+
+def _text(value: object) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
