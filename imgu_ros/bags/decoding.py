@@ -54,6 +54,22 @@ class MessageDecoder:
             # The generated deserialisers let through whatever damaged bytes provoke.
             raise BagError(f"{channel.type_name}: {_one_line(error)}; need bytes of this type") from None
 
+    def cdr(self, raw: RawMessage) -> bytes:
+        """Return the message as CDR with its encapsulation; one of CDR as recorded, one of ROS 1 converted.
+
+        Raises
+        ------
+        BagError
+            If it is of neither, or cannot be decompressed or converted.
+        """
+        channel = raw.channel
+        if channel.serialization == Serialization.CDR:
+            return bytes(decompressed_message(raw.data))
+        message = self.decoded(raw)
+        if channel.type_name not in typestore().fielddefs:
+            raise BagError(f"{channel.type_name}: not an interface of ROS 2; need one to convert it")
+        return bytes(typestore().serialize_cdr(message, channel.type_name))
+
     def _store(self, channel: Channel) -> Typestore | BagError:
         if channel not in self._stores:
             try:

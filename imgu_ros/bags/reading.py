@@ -22,7 +22,15 @@ from imgu_ros.bags.rosbag1_format import MAGIC as ROSBAG1_MAGIC
 from imgu_ros.bags.rosbag1_format import index_rosbag1, rosbag1_records
 from imgu_ros.bags.rosbag2 import METADATA, splits
 from imgu_ros.bags.sqlite import SqliteStorage
-from imgu_ros.bags.storage import Channel, Part, RawMessage, Storage, Warnings, merge_by_time, seconds
+from imgu_ros.bags.storage import (
+    Channel,
+    Part,
+    RawMessage,
+    Storage,
+    Warnings,
+    merge_by_time,
+    seconds,
+)
 from imgu_ros.errors import BagError
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -133,18 +141,42 @@ class Bag:
         BagError
             If the bag is closed.
         """
-        wanted = None if topics is None else frozenset(topics)
-        for raw in merge_by_time(
-            Part(storage.start_ns, partial(storage.messages, wanted)) for storage in self._with_messages()
-        ):
-            if not self._is_open:
-                raise BagError("bag: closed while it was read; need an open bag")
+        for raw in self.raw_messages(topics):
             try:
                 message = self._decoder.decoded(raw)
             except BagError as error:
                 self._warn_of_message(raw, error)
                 continue
             yield BagMessage(raw.channel.topic, raw.channel.type_name, raw.time_ns, message)
+
+    def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of `topics` (None: all) as they were serialised, in the order of their recording.
+
+        Raises
+        ------
+        BagError
+            If the bag is closed.
+        """
+        wanted = None if topics is None else frozenset(topics)
+        for raw in merge_by_time(
+            Part(storage.start_ns, partial(storage.messages, wanted)) for storage in self._with_messages()
+        ):
+            if not self._is_open:
+                raise BagError("bag: closed while it was read; need an open bag")
+            yield raw
+
+    def cdr_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield messages as bytes of CDR with its encapsulation, decompressed; those of ROS 1 bags are converted.
+
+        A message that cannot be had so is skipped, and said in `warnings`.
+        """
+        for raw in self.raw_messages(topics):
+            try:
+                data = self._decoder.cdr(raw)
+            except BagError as error:
+                self._warn_of_message(raw, error)
+                continue
+            yield RawMessage(raw.channel, raw.time_ns, data)
 
     def close(self) -> None:
         """Close all files; closing twice does nothing."""
