@@ -9,12 +9,12 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imgu_ros.errors import FileError
-from imgu_ros.perception.result import Result, Stage, Status, TargetResult
+from imgu_ros.perception.result import Result, Stage, TargetResult
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rotation import quaternion
 
 _IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status")
 _COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px")
@@ -56,11 +56,6 @@ class FramesWriter:
         """Write one row for each target of `result`."""
         for target in result.targets:
             self._writer.writerow(_row(result, target))
-
-    def write_rejected(self, stamp_ns: int, frame_id: str, target: str) -> None:
-        """Write the row of a frame that could not be read: its header is all that is known."""
-        row = [str(stamp_ns), frame_id, target, Status.REJECTED.value]
-        self._writer.writerow(row + [""] * (len(COLUMNS) - len(row)))
 
 
 def read_rows(path: Path) -> Iterator[dict[str, str]]:
@@ -105,7 +100,7 @@ def _row(result: Result, target: TargetResult) -> list[str]:
 
 def pose_numbers(pose: Pose) -> Floats:
     """Return a pose as (7,): tx ty tz (m), qx qy qz qw (qw >= 0)."""
-    return np.concatenate((pose.t, Rotation.from_matrix(pose.R).as_quat(canonical=True)))
+    return np.concatenate((pose.t, quaternion(pose.R)))
 
 
 def _texts(values: Floats | None, count: int) -> list[str]:

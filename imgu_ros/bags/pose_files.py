@@ -10,13 +10,11 @@ from types import TracebackType
 from typing import TextIO
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imgu_ros.bags.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS, pose_numbers
+from imgu_ros.codec.transform import inverse_pose
 from imgu_ros.errors import FileError
 from imgu_ros.perception.result import PoseStatus, Result
-from imgu_ros.types import Floats
-from imgu_ros.vision.camera.pose import Pose
 
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
 
@@ -51,7 +49,7 @@ class PoseFiles:
         frame = result.frame
         for target in result.targets:
             if target.pose is not None:
-                numbers = " ".join(repr(float(value)) for value in target_from_camera(target.pose))
+                numbers = " ".join(repr(float(value)) for value in pose_numbers(inverse_pose(target.pose)))
                 self._trajectories[target.name].write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
             elif target.pose_status is PoseStatus.AMBIGUOUS:
                 for number, pose in enumerate(target.solutions, 1):
@@ -65,12 +63,6 @@ class PoseFiles:
         except OSError as error:
             self._stack.close()
             raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
-
-
-def target_from_camera(pose: Pose) -> Floats:
-    """Return the inverse of camera_from_target as (7,): tx ty tz (m), qx qy qz qw (qw >= 0)."""
-    quaternion = Rotation.from_matrix(pose.R.T).as_quat(canonical=True)
-    return np.concatenate((-pose.R.T @ pose.t, quaternion))
 
 
 def seconds_text(stamp_ns: int) -> str:

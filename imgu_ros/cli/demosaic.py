@@ -81,13 +81,13 @@ def _read_headerless(arguments: argparse.Namespace) -> Image:
         size = arguments.input.stat().st_size
         needed = width * height * dtype.itemsize
         if size != needed:
-            raise FileError(
-                f"{arguments.input}: {size} bytes; need {needed} for {width} x {height} {arguments.dtype} without a header"
-            )
+            shape = f"{width} x {height} {arguments.dtype} without a header"
+            raise FileError(f"{arguments.input}: {size} bytes; need {needed} for {shape}")
         pixels = np.fromfile(arguments.input, dtype)
     except OSError as error:
         raise FileError(f"{arguments.input}: {error.strerror}; need a file that can be read") from None
-    return pixels.reshape(height, width).astype(dtype.newbyteorder("="))
+    raw: Image = pixels.reshape(height, width).astype(dtype.newbyteorder("="))
+    return raw
 
 
 def _check_levels(arguments: argparse.Namespace) -> None:

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.simulate.truth import Truth, corner_error
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.rotation import from_quaternion, log_so3
 
 #: What counts when an estimate puts a corner on or behind the horizon, where the corner error is infinite, px.
 _LARGEST_CORNER_ERROR_PX = 1e4
@@ -87,7 +87,7 @@ class TruthComparison:
         true_position = -R_true.T @ t_true
         if pose is None or covariance is None:
             return RowErrors(corner_px=corner_px, true_position=true_position)
-        delta_r = Rotation.from_matrix(R_true @ Rotation.from_quat(pose[3:]).as_matrix().T).as_rotvec()
+        delta_r = log_so3(R_true @ from_quaternion(pose[3:]).T)
         delta_t = t_true - pose[:3]
         return RowErrors(
             corner_px=corner_px,
@@ -107,7 +107,7 @@ class TruthComparison:
 
 def camera_position(pose: Floats) -> Floats:
     """Return where the camera is in the target's frame, (3,) m, from camera_from_target (7,)."""
-    position: Floats = -Rotation.from_quat(pose[3:]).as_matrix().T @ pose[:3]
+    position: Floats = -from_quaternion(pose[3:]).T @ pose[:3]
     return position
 
 

@@ -27,6 +27,7 @@ _AXES = ((230, 40, 40), (40, 200, 40), (60, 110, 255))  # x red, y green, z blue
 _INLIER = (255, 230, 60)
 _SHIFT = 4  # drawing coordinates carry 4 bits of fraction
 _EDGE_POINTS = 17
+_NO_PICTURE = (180, 960)  # height, width of what stands for a frame that could not be decoded
 _DARK = 0.35
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -84,8 +85,8 @@ class _Pen:
 
 def _background(result: Result) -> Image:
     if result.developed is None:
-        height, width = result.frame.image.pixels.shape[:2]
-        return np.full((max(height, 1), max(width, 1), 3), 64, np.uint8)
+        height, width = result.frame.image.pixels.shape[:2] if result.frame.image.pixels.size else _NO_PICTURE
+        return np.full((height, width, 3), 64, np.uint8)
     color = result.developed.color()
     if color.dtype == np.uint8:
         return np.array(color)

@@ -1,0 +1,128 @@
+"""The frames of a bag: one image topic, each image with its camera_info."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imgu_ros.bags.reading import Bag, BagMessage, Topic
+from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image_topics
+from imgu_ros.codec.frame import decode_frame
+from imgu_ros.codec.header import decode_header
+from imgu_ros.codec.pairing import Pair, Pairing
+from imgu_ros.errors import EncodingError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.frame import Frame
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrame:
+    """One recorded image.
+
+    Attributes
+    ----------
+    time_ns : when it was recorded
+    frame : decoded; with an image of no pixels when it could not be
+    reason : why it could not be decoded; empty when it was
+    """
+
+    time_ns: int
+    frame: Frame
+    reason: str
+
+
+class FrameSource:
+    """Reads frames from an open bag, in the bag's order and bounded memory.
+
+    Parameters
+    ----------
+    bag : open
+    parameters : `image_topic`, `camera_info_topic`, `camera.rectified`
+
+    Attributes
+    ----------
+    image_topic : the topic that is read
+    camera_info_topic : its camera_info; None when there is none
+    warnings : what the user should know about the choice of topics and the calibration; grows while frames are read
+
+    Raises
+    ------
+    BagError, ParameterError
+        If there is no such topic; see `find_image_topic` and `find_camera_info_topic`.
+    """
+
+    def __init__(self, bag: Bag, parameters: Parameters) -> None:
+        self._bag = bag
+        self._rectified = parameters.camera.rectified
+        self.warnings: list[str] = []
+        self.image_topic = self._chosen_topic(parameters.image_topic)
+        self.camera_info_topic = find_camera_info_topic(bag.topics, self.image_topic.name, parameters.camera_info_topic)
+        if not self._rectified and "rect" in self.image_topic.name:
+            self.warnings.append(f"{self.image_topic.name}: sounds rectified; if it is, set -p camera.rectified:=true")
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """Yield every recorded image."""
+        info_name = None if self.camera_info_topic is None else self.camera_info_topic.name
+        names = [self.image_topic.name] if info_name is None else [self.image_topic.name, info_name]
+        pairing: Pairing[BagMessage, Any] = Pairing(expects_camera_info=info_name is not None)
+        is_calibrated = True
+        for pair in self._pairs(pairing, names):
+            recorded = _recorded(pair, rectified=self._rectified)
+            if is_calibrated and not recorded.reason and recorded.frame.camera is None:
+                is_calibrated = False
+                self.warnings.append(f"uncalibrated: {self._why_uncalibrated(pair)}; homographies, but no poses")
+            yield recorded
+        if pairing.unmatched:
+            share = f"{pairing.unmatched} of {pairing.matched + pairing.unmatched} images"
+            self.warnings.append(f"{info_name}: none has the stamp of {share}; the latest one before was used")
+
+    def _pairs(self, pairing: Pairing[BagMessage, Any], names: list[str]) -> Iterator[Pair[BagMessage, Any]]:
+        for message in self._bag.messages(names):
+            stamp_ns = decode_header(message.message).stamp_ns
+            if message.topic == self.image_topic.name:
+                yield from pairing.add_image(stamp_ns, message)
+            else:
+                yield from pairing.add_camera_info(stamp_ns, message.message)
+        yield from pairing.flush()
+
+    def _chosen_topic(self, name: str) -> Topic:
+        """Return the named topic, or the first whose first image can be decoded."""
+        first = find_image_topic(self._bag.topics, name)
+        candidates = [topic for topic in image_topics(self._bag.topics) if topic.count]
+        if name or len(candidates) < 2:
+            return first
+        chosen = next((topic for topic in candidates if self._is_readable(topic)), first)
+        others = ", ".join(topic.name for topic in candidates if topic is not chosen)
+        self.warnings.append(f"several image topics: reading {chosen.name}, not {others}; set -p image_topic:=NAME")
+        return chosen
+
+    def _is_readable(self, topic: Topic) -> bool:
+        for message in self._bag.messages([topic.name]):
+            try:
+                decode_frame(message.message, None, rectified=False)
+            except EncodingError:
+                return False
+            return True
+        return False
+
+    def _why_uncalibrated(self, pair: Pair[BagMessage, Any]) -> str:
+        if self.camera_info_topic is None:
+            return f"the bag has no camera_info beside {self.image_topic.name}"
+        if pair.camera_info is None:
+            return f"{self.camera_info_topic.name} has none for the image at {pair.stamp_ns} ns"
+        return f"{self.camera_info_topic.name} has an all-zero {'P' if self._rectified else 'K'}"
+
+
+def _recorded(pair: Pair[BagMessage, Any], *, rectified: bool) -> RecordedFrame:
+    message = pair.image.message
+    try:
+        frame = decode_frame(message, pair.camera_info, rectified=rectified)
+        return RecordedFrame(pair.image.time_ns, frame, "")
+    except EncodingError as error:
+        header = decode_header(message)
+        nothing = RawImage(np.zeros((0, 0), np.uint8), PixelLayout(ColorModel.MONO))
+        return RecordedFrame(pair.image.time_ns, Frame(nothing, header.stamp_ns, header.frame_id, None), str(error))

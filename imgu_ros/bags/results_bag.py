@@ -1,0 +1,106 @@
+"""The results bag of a replay: the messages that the live node would have published, stamped as the input."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.writing import BagWriter
+from imgu_ros.codec.geometry import PathHistory
+from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS, level_message, picture_message
+from imgu_ros.errors import ParameterError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.result import Result, TargetResult
+from imgu_ros.report.overlay import draw_result
+
+#: Always recorded.
+FRAME_TOPICS = ("homography", "status")
+TARGET_TOPICS = ("outline", "pose", "odom")
+#: Recorded on request; beside them `pyramid/level_<k>`.
+OPTIONAL_TOPICS = ("keypoints", "matches", "path", "image_color", "image_mono", "debug_image")
+
+_LEVEL = re.compile(r"pyramid/level_(\d{1,2})")
+
+
+class ResultsBag:
+    """Writes the results bag (MCAP); a context manager.
+
+    Parameters
+    ----------
+    path : the bag's folder
+    parameters : frames of the targets, length of a path
+    targets : names, the first one's topics appear without a prefix too
+    record : topics to record beside those that always are
+    """
+
+    def __init__(self, path: Path, parameters: Parameters, targets: Sequence[str], record: Sequence[str]) -> None:
+        self._record = checked_record(record)
+        self._prefix = parameters.frames.target_prefix
+        self._paths = {
+            name: PathHistory(make_message, self._prefix + name, parameters.path.max_length) for name in targets
+        }
+        self._writer = BagWriter(path)
+
+    def __enter__(self) -> ResultsBag:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+    def write(self, result: Result, time_ns: int) -> None:
+        """Write the messages of one frame; `time_ns` is when the bag recorded the frame."""
+        for topic in (*FRAME_TOPICS, *self._record):
+            self._write(topic, _frame_message(topic, result), time_ns)
+        for target in result.targets:
+            for topic in TARGET_TOPICS:
+                frame = self._prefix + target.name
+                self._write_target(
+                    topic, target, TARGET_OUTPUTS[topic].message(make_message, result, target, frame), time_ns
+                )
+            if "path" in self._record and target.pose is not None:
+                path = self._paths[target.name].add(result.frame.stamp_ns, target.pose)
+                self._write_target("path", target, path, time_ns)
+
+    def _write_target(self, topic: str, target: TargetResult, message: Any | None, time_ns: int) -> None:
+        self._write(f"targets/{target.name}/{topic}", message, time_ns)
+        if target.index == 0:
+            self._write(topic, message, time_ns)
+
+    def _write(self, topic: str, message: Any | None, time_ns: int) -> None:
+        if message is not None:
+            self._writer.write(f"/{topic}", message, time_ns)
+
+
+def checked_record(record: Sequence[str]) -> tuple[str, ...]:
+    """Return the topics to record, relative and each once.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such output; the message names the nearest.
+    """
+    names = tuple(dict.fromkeys(name.removeprefix("/") for name in record))
+    for name in names:
+        if name not in OPTIONAL_TOPICS and not _LEVEL.fullmatch(name) and name not in FRAME_TOPICS + TARGET_TOPICS:
+            near = difflib.get_close_matches(name, OPTIONAL_TOPICS, n=1)
+            hint = f" (nearest: {near[0]})" if near else ""
+            raise ParameterError(
+                f"--record: {name!r} is no output{hint}; need one of {', '.join(OPTIONAL_TOPICS)}, pyramid/level_<k>"
+            )
+    return tuple(name for name in names if name not in FRAME_TOPICS + TARGET_TOPICS)
+
+
+def _frame_message(topic: str, result: Result) -> Any | None:
+    level = _LEVEL.fullmatch(topic)
+    if level:
+        return level_message(make_message, result, int(level[1]))
+    if topic == "debug_image":
+        return picture_message(make_message, result, draw_result(result))
+    return FRAME_OUTPUTS[topic].message(make_message, result) if topic in FRAME_OUTPUTS else None
