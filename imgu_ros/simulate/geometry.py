@@ -43,7 +43,9 @@ def image_from_template(K: Matrix3, camera_from_target: RigidTransform, target_f
         If the target's centre is not in front of the camera.
     """
     if not camera_from_target.t[2] > 0:
-        raise ShapeError(f"target: its centre is at z {camera_from_target.t[2]:g} m; need z > 0 (in front of the camera)")
+        raise ShapeError(
+            f"target: its centre is at z {camera_from_target.t[2]:g} m; need z > 0 (in front of the camera)"
+        )
     plane = np.column_stack((camera_from_target.R[:, 0], camera_from_target.R[:, 1], camera_from_target.t))
     H: Matrix3 = K @ plane @ target_from_template
     # w at the centre is the depth of the target's origin, positive by the check above.

@@ -103,7 +103,8 @@ def _ideal_positions(camera: Camera) -> list[Floats | Image]:
     x, y = np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64)
     parts: list[Floats | Image] = []
     splines = [
-        RectBivariateSpline(nodes_y, nodes_x, ideal[:, i].reshape(len(nodes_y), len(nodes_x)), kx=5, ky=5) for i in (0, 1)
+        RectBivariateSpline(nodes_y, nodes_x, ideal[:, i].reshape(len(nodes_y), len(nodes_x)), kx=5, ky=5)
+        for i in (0, 1)
     ]
     parts += [np.asarray(s(y, x)) for s in splines]
     for s in splines:

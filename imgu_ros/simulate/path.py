@@ -65,10 +65,12 @@ def camera_from_scene_at(
     roll = roll0 + motion.turns * turn
     axis = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     looking_at_origin = rotation_about(np.array([0.0, 0.0, 1.0]), roll) @ _OPTICAL @ rotation_about(axis, tilt).T
-    stray = np.array([
-        motion.drift * camera.width / camera.K[0, 0] * math.sin(turn + drift_x0),
-        motion.drift * camera.height / camera.K[1, 1] * math.sin(2 * turn + drift_y0),
-    ])
+    stray = np.array(
+        [
+            motion.drift * camera.width / camera.K[0, 0] * math.sin(turn + drift_x0),
+            motion.drift * camera.height / camera.K[1, 1] * math.sin(2 * turn + drift_y0),
+        ]
+    )
     aside = rotation_about(np.array([0.0, 1.0, 0.0]), math.atan(stray[0])) @ rotation_about(
         np.array([1.0, 0.0, 0.0]), -math.atan(stray[1])
     )

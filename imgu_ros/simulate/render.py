@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -124,7 +125,9 @@ class Renderer:
     def _largest_step(self, H_plane_image: Matrix3, rows: slice, columns: slice) -> float:
         """Return how far apart on the plane neighbouring pixels look, at most, over a block's border."""
         row_step, column_step = max(1, (rows.stop - rows.start) // 4), max(1, (columns.stop - columns.start) // 8)
-        m = self._grid.plane_map(H_plane_image, slice(rows.start, rows.stop, row_step), slice(columns.start, columns.stop, column_step))
+        m = self._grid.plane_map(
+            H_plane_image, slice(rows.start, rows.stop, row_step), slice(columns.start, columns.stop, column_step)
+        )
         if not m.front.any():
             return math.inf
         a, b, c, d = (part[m.front].astype(np.float64) for part in (m.ux, m.uy, m.vx, m.vy))
@@ -182,7 +185,7 @@ def _outline_in_image(H: Matrix3, size: tuple[int, int], camera: Camera) -> Floa
     left, top, right, bottom = -0.5, -0.5, size[0] - 0.5, size[1] - 0.5
     corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
     s = np.linspace(0, 1, _EDGE_POINTS, endpoint=False)[:, None]
-    edges = np.concatenate([a + s * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)] + [corners[:1]])
+    edges = np.concatenate([a + s * (b - a) for a, b in pairwise(corners)] + [corners[:1]])
     ideal = np.column_stack((edges, np.ones(len(edges)))) @ H.T
     if not (ideal[:, 2] > 1e-3 * ideal[:, 2].max()).all():
         return None
@@ -190,7 +193,9 @@ def _outline_in_image(H: Matrix3, size: tuple[int, int], camera: Camera) -> Floa
     if not camera.is_distorted:
         return points
     # Far outside the image a polynomial lens may fold back: only an outline near the image is trusted.
-    near = (np.abs(points - (camera.width / 2, camera.height / 2)) < 1.5 * np.array([camera.width, camera.height])).all()
+    near = (
+        np.abs(points - (camera.width / 2, camera.height / 2)) < 1.5 * np.array([camera.width, camera.height])
+    ).all()
     return camera.raw_pixels(points) if near else None
 
 

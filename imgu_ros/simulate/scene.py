@@ -36,7 +36,8 @@ class Scene:
     def radius_m(self) -> float:
         """Radius of a sphere about the origin that holds every target."""
         return max(
-            float(np.linalg.norm(pose.t)) + radius_of(target) for target, pose in zip(self.targets, self.poses, strict=True)
+            float(np.linalg.norm(pose.t)) + radius_of(target)
+            for target, pose in zip(self.targets, self.poses, strict=True)
         )
 
 
@@ -89,7 +90,10 @@ def _grid(targets: Sequence[TargetImage]) -> Floats:
     # A target rolled by the largest angle needs this much more room.
     room = math.cos(_LARGEST_LEAN_RAD) + math.sin(_LARGEST_LEAN_RAD) * max(pitch_x / pitch_y, pitch_y / pitch_x)
     index = np.arange(len(targets))
-    centres = np.column_stack((index % columns * pitch_x * room, -(index // columns) * pitch_y * room, 0.0 * index))
+    row, column = index // columns, index % columns
+    # The last row is centred when it is not full.
+    missing = np.where(row == row[-1], -len(targets) % columns, 0)
+    centres = np.column_stack(((column + missing / 2) * pitch_x * room, -row * pitch_y * room, 0.0 * index))
     centres -= (centres.min(axis=0) + centres.max(axis=0)) / 2
     return centres
 
@@ -97,5 +101,7 @@ def _grid(targets: Sequence[TargetImage]) -> Floats:
 def _leaning(centre: Floats, rng: np.random.Generator) -> RigidTransform:
     azimuth, lean, roll = rng.uniform(0, 2 * math.pi), rng.uniform(0.3, 1.0), rng.uniform(-1.0, 1.0)
     axis = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    R = rotation_about(axis, lean * _LARGEST_LEAN_RAD) @ rotation_about(np.array([0.0, 0.0, 1.0]), roll * _LARGEST_LEAN_RAD)
+    R = rotation_about(axis, lean * _LARGEST_LEAN_RAD) @ rotation_about(
+        np.array([0.0, 0.0, 1.0]), roll * _LARGEST_LEAN_RAD
+    )
     return RigidTransform(R, centre)

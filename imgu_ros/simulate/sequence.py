@@ -114,7 +114,7 @@ def default_camera(
 ) -> Camera:
     """Return a camera 61 degrees wide, its principal point a little off the centre."""
     f = 0.85 * width
-    K = [[f, 0, (width - 1) / 2 + 0.0035 * width], [0, f, (height - 1) / 2 - 0.004 * height], [0, 0, 1]]
+    K = np.array([[f, 0, (width - 1) / 2 + 0.0035 * width], [0, f, (height - 1) / 2 - 0.004 * height], [0, 0, 1]])
     return make_camera(K, distortion, model, width, height)
 
 

@@ -9,7 +9,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image
 
 _SUPERSAMPLING = 2
-_SHAPES_PER_MEGAPIXEL = 12_000
+_SHAPES_PER_MEGAPIXEL = 6000
 _SMALLEST_PX = 2.5
 _DISC_CORNERS = 24
 
@@ -54,7 +54,7 @@ def wall_texture(side: int = 1024, seed: int = 0) -> Image:
 
 
 def fractal_noise(width: int, height: int, exponent: float, rng: np.random.Generator) -> Floats:
-    """Return periodic Gaussian noise with amplitude spectrum 1 / frequency^exponent, (height, width), mean 0, variance 1."""
+    """Return periodic noise with amplitude 1 / frequency^exponent, (height, width), mean 0, variance 1."""
     white = np.fft.rfft2(rng.standard_normal((height, width)))
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None, :])
     frequency[0, 0] = 1.0
@@ -73,14 +73,18 @@ def _shapes(width: int, height: int, rng: np.random.Generator) -> list[tuple[Flo
     """Return polygons, (N, 2) px, with colours, in the order of drawing."""
     count = max(40, round(_SHAPES_PER_MEGAPIXEL * width * height / 1e6))
     largest = 0.22 * min(width, height)
-    # Radii with density r^-3: equal area in every octave. Drawn as they come, small ones would drown under large ones.
-    uniform = rng.random(count)
-    inverse_square = _SMALLEST_PX**-2 - uniform * (_SMALLEST_PX**-2 - max(largest, 2 * _SMALLEST_PX) ** -2)
-    radii = np.sort(1 / np.sqrt(inverse_square))[::-1] * np.exp(rng.normal(0, 0.25, count))
+    # Radii with density r^-2.5, a little more area in each larger octave, because the large ones are drawn first: in
+    # random order they would hide the small ones.
+    ends = np.array([_SMALLEST_PX, max(largest, 2 * _SMALLEST_PX)]) ** -1.5
+    radii = np.sort((ends[0] - rng.random(count) * (ends[0] - ends[1])) ** (-1 / 1.5))[::-1]
+    radii = radii * np.exp(rng.normal(0, 0.25, count))
     centres = rng.random((count, 2)) * (width, height)
     corners = rng.integers(3, 8, count)
     corners[corners == 7] = _DISC_CORNERS
-    turn, stretch = rng.uniform(0, 2 * np.pi, count), np.where(corners == _DISC_CORNERS, 1.0, rng.uniform(0.4, 1.0, count))
+    turn, stretch = (
+        rng.uniform(0, 2 * np.pi, count),
+        np.where(corners == _DISC_CORNERS, 1.0, rng.uniform(0.4, 1.0, count)),
+    )
     jitter = np.where((corners == _DISC_CORNERS)[:, None], 0.0, rng.uniform(-0.3, 0.3, (count, _DISC_CORNERS)))
     angles = 2 * np.pi * (np.arange(_DISC_CORNERS) + jitter) / corners[:, None]
     x, y = radii[:, None] * np.cos(angles), (radii * stretch)[:, None] * np.sin(angles)
@@ -95,4 +99,5 @@ def _colors(count: int, rng: np.random.Generator) -> Floats:
     hue, saturation, value = rng.random(count), rng.beta(1.3, 1.3, count), rng.uniform(30, 250, count)
     phase = 6 * hue[:, None] + np.array([0.0, 4.0, 2.0])
     pure = np.clip(np.abs(phase % 6 - 3) - 1, 0, 1)
-    return np.round(value[:, None] * (1 - saturation[:, None] * (1 - pure)))
+    colors: Floats = np.round(value[:, None] * (1 - saturation[:, None] * (1 - pure)))
+    return colors

@@ -117,7 +117,9 @@ def corner_error(
         points = target_grid(template_size, _GRID)
         points = points[points_in_image(H_truth, points, image_size, camera)]
         if not len(points):
-            raise ShapeError(f"target: no point inside the {image_size[0]} x {image_size[1]} image; need a visible target")
+            raise ShapeError(
+                f"target: no point inside the {image_size[0]} x {image_size[1]} image; need a visible target"
+            )
     estimated, truth = _project(H_estimate, points), _project(H_truth, points)
     if not (estimated[:, 2] > 0).all():
         return math.inf
@@ -132,9 +134,7 @@ def target_grid(template_size: tuple[int, int], count: int) -> Points:
     return np.column_stack((x.ravel(), y.ravel()))
 
 
-def points_in_image(
-    H: Matrix3, points: Points, image_size: tuple[int, int], camera: Camera | None = None
-) -> Mask:
+def points_in_image(H: Matrix3, points: Points, image_size: tuple[int, int], camera: Camera | None = None) -> Mask:
     """Return which template points, (N, 2), the raw image shows: (N,) bool."""
     projected = _project(H, points)
     inside = projected[:, 2] > 0

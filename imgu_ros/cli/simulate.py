@@ -1,0 +1,168 @@
+"""Simulate a calibrated camera that moves before printed pictures, and write what it sees as a bag.
+
+Writes into BAG: a rosbag2 with /camera/image_raw and /camera/camera_info, the template images, truth.csv (the exact
+homography and pose of every target in every frame) and params.yaml, so that
+
+    imgu replay BAG --params-file BAG/params.yaml --truth BAG/truth.csv --out DIR
+
+works at once. The same options and seed give the same frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imgu_ros.perception.targets import TargetImage
+    from imgu_ros.simulate.recording import BagFormat
+    from imgu_ros.simulate.sequence import Simulation
+    from imgu_ros.vision.camera.intrinsics import Camera
+
+HELP = "write a bag of a simulated camera with exact ground truth"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    # fmt: off
+    add = parser.add_argument
+    add("--out", type=Path, required=True, metavar="BAG", help="folder of the bag: new or empty")
+    add("--overwrite", action="store_true", help="replace an earlier simulated bag in BAG")
+    add("--seed", type=int, default=0, help="of texture, path and noise (default 0)")
+
+    group = parser.add_argument_group("sequence")
+    add = group.add_argument
+    add("--size", type=_size, default=(1280, 720), metavar="WxH", help="image size (default 1280x720)")
+    add("--frames", type=int, default=60, metavar="N", help="frames in the sequence (default 60)")
+    add("--rate", type=float, default=15.0, metavar="HZ", help="frames a second (default 15)")
+    add("--tilt", type=float, default=35.0, metavar="DEG", help="largest tilt of the camera (default 35)")
+    add("--zoom", type=float, default=2.4, metavar="RATIO", help="largest over smallest distance (default 2.4)")
+    add("--turns", type=float, default=1.0, metavar="N", help="turns in the image plane (default 1)")
+    add("--distortion", choices=("none", "plumb_bob", "rational_polynomial", "equidistant"), default="none",
+        help="give the camera a typical lens of that model (default none)")
+
+    group = parser.add_argument_group("targets")
+    add = group.add_argument
+    add("--template", type=Path, action="append", default=[], metavar="FILE",
+        help="picture to print; repeat for several targets (default: a procedural one)")
+    add("--targets", type=int, metavar="N", help="number of procedural pictures (default 1)")
+    add("--width-m", type=float, default=0.5, metavar="M", help="printed width of each (default 0.5)")
+
+    group = parser.add_argument_group("sensor")
+    add = group.add_argument
+    add("--pattern", metavar="NAME", help="Bayer pattern: rggb (default), bggr, grbg, gbrg")
+    add("--bits", type=int, metavar="N",
+        help="8 (default), 10, 12, 14, 16; more than 8 are right-aligned in a 16-bit encoding")
+    add("--encoding", metavar="NAME", help="bayer_<pattern>{8,16}, mono8, mono16, rgb8, rgb16, bgr8 or bgr16 instead")
+    add("--full-well", type=float, default=10_000.0, metavar="E", help="electrons that saturate (default 10000)")
+    add("--read-noise", type=float, default=4.0, metavar="E", help="electrons (default 4)")
+    add("--black-level", type=float, default=0.0, metavar="DN", help="digital number of no light (default 0)")
+
+    group = parser.add_argument_group("bag")
+    add = group.add_argument
+    add("--row-padding", type=int, default=0, metavar="BYTES", help="added to each row (default 0)")
+    add("--big-endian", action="store_true", help="most significant byte first")
+    add("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default mcap")
+    add("--compression", choices=("none", "zstd"), default="none", help="default none")
+    # fmt: on
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate, and say what to do with the result."""
+    from imgu_ros.cli.progress import Progress
+    from imgu_ros.simulate.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
+
+    bag_format = _format(arguments)
+    simulation = _simulation(arguments, bag_format)
+    targets = _targets(arguments)
+    with Progress("simulate") as progress:
+        truths = record_simulation(
+            arguments.out, simulation, bag_format, targets, overwrite=arguments.overwrite, on_progress=progress
+        )
+    out = arguments.out
+    print(
+        f"{out}: {simulation.frames} frames of {simulation.width}x{simulation.height}, {bag_format.encoding}; ", end=""
+    )
+    print(f"{len(targets)} target{'s' * (len(targets) > 1)}, {len(truths)} true poses")
+    print(f"imgu replay {out} --params-file {out / PARAMETER_FILE} --truth {out / TRUTH_FILE} --out DIR")
+    return 0
+
+
+def _format(arguments: argparse.Namespace) -> BagFormat:
+    """Reconcile --pattern, --bits and --encoding."""
+    from imgu_ros.errors import ParameterError
+    from imgu_ros.simulate.recording import BagFormat
+    from imgu_ros.vision.formation.cfa import BayerPattern
+
+    if arguments.pattern is not None and arguments.pattern not in list(BayerPattern):
+        raise ParameterError(f"pattern: {arguments.pattern!r}; need one of {', '.join(BayerPattern)}")
+    encoding = arguments.encoding
+    if encoding is None:
+        encoding = f"bayer_{arguments.pattern or 'rggb'}{16 if (arguments.bits or 8) > 8 else 8}"
+    elif arguments.pattern is not None and not encoding.startswith(f"bayer_{arguments.pattern}"):
+        raise ParameterError(f"pattern: {arguments.pattern!r} with encoding {encoding}; need one of them, or the same")
+    return BagFormat(encoding, arguments.row_padding, arguments.big_endian, arguments.storage, arguments.compression)
+
+
+def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulation:
+    from imgu_ros.errors import ParameterError
+    from imgu_ros.simulate.path import Motion
+    from imgu_ros.simulate.recording import simulated_encoding
+    from imgu_ros.simulate.sequence import Simulation
+    from imgu_ros.vision.formation.sensor import Sensor
+
+    encoding = simulated_encoding(bag_format.encoding)
+    bits = arguments.bits if arguments.bits is not None else 8 * encoding.dtype.itemsize
+    if arguments.seed < 0:
+        raise ParameterError(f"seed: {arguments.seed}; need 0 or more")
+    return Simulation(
+        width=arguments.size[0],
+        height=arguments.size[1],
+        frames=arguments.frames,
+        rate_hz=arguments.rate,
+        seed=arguments.seed,
+        layout=encoding.layout,
+        sensor=Sensor(bits, arguments.full_well, arguments.read_noise, arguments.black_level),
+        motion=Motion(turns=arguments.turns, tilt_rad=math.radians(arguments.tilt), zoom=arguments.zoom),
+        camera=_camera(arguments),
+    )
+
+
+def _camera(arguments: argparse.Namespace) -> Camera | None:
+    from imgu_ros.simulate.sequence import TYPICAL_LENSES, default_camera
+    from imgu_ros.vision.camera.intrinsics import DistortionModel
+
+    if arguments.distortion == "none":
+        return None
+    model = DistortionModel(arguments.distortion)
+    return default_camera(arguments.size[0], arguments.size[1], model, TYPICAL_LENSES[model])
+
+
+def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
+    from imgu_ros.errors import ParameterError
+    from imgu_ros.simulate.sequence import default_targets
+
+    if not (math.isfinite(arguments.width_m) and arguments.width_m > 0):
+        raise ParameterError(f"width: {arguments.width_m:g} m; need more than 0")
+    if not arguments.template:
+        count = 1 if arguments.targets is None else arguments.targets
+        if not 1 <= count <= 64:
+            raise ParameterError(f"targets: {count}; need 1 to 64")
+        return default_targets(count, arguments.seed, arguments.width_m)
+    if arguments.targets is not None:
+        raise ParameterError(f"targets: {arguments.targets} with --template; need one or the other")
+    from imgu_ros.files.target_images import load_target_images
+    from imgu_ros.params import TargetsParameters
+
+    paths = tuple(str(path) for path in arguments.template)
+    return load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)))
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r}; need WIDTHxHEIGHT, such as 1280x720")
+    return int(match[1]), int(match[2])

@@ -1,0 +1,189 @@
+"""A simulated sequence as a bag, with all that is needed to replay it and to judge the replay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import yaml
+
+from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.writing import BagWriter
+from imgu_ros.codec.camera_info import camera_info_message
+from imgu_ros.codec.encodings import Encoding, encoding_named
+from imgu_ros.codec.header import Header
+from imgu_ros.codec.image import image_message
+from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.files.images import write_image
+from imgu_ros.perception.targets import TargetImage
+from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
+from imgu_ros.simulate.truth import Truth, write_truth
+from imgu_ros.vision.formation.layout import ColorModel
+from imgu_ros.vision.formation.sensor import Sensor
+
+IMAGE_TOPIC = "/camera/image_raw"
+CAMERA_INFO_TOPIC = "/camera/camera_info"
+TRUTH_FILE = "truth.csv"
+PARAMETER_FILE = "params.yaml"
+
+_BAG_FILES = ("*.mcap", "*.db3", "*.zstd", "metadata.yaml")
+_OWN_FILES = (TRUTH_FILE, PARAMETER_FILE, "*.png")
+
+
+@dataclass(frozen=True, slots=True)
+class BagFormat:
+    """How the frames are written.
+
+    Attributes
+    ----------
+    encoding : bayer_{rggb,bggr,grbg,gbrg}{8,16}, mono8, mono16, rgb8, rgb16, bgr8 or bgr16; samples of fewer bits than
+        the encoding has are right-aligned
+    row_padding : bytes added to each row, >= 0
+    big_endian : byte order of 16-bit samples
+    storage : mcap or sqlite3
+    compression : none or zstd
+    """
+
+    encoding: str = "bayer_rggb8"
+    row_padding: int = 0
+    big_endian: bool = False
+    storage: Literal["mcap", "sqlite3"] = "mcap"
+    compression: Literal["none", "zstd"] = "none"
+
+
+def record_simulation(
+    out: Path,
+    simulation: Simulation,
+    bag_format: BagFormat | None = None,
+    targets: Sequence[TargetImage] | None = None,
+    *,
+    overwrite: bool = False,
+    on_progress: Callable[[int, int | None], None] = lambda done, total: None,
+) -> tuple[Truth, ...]:
+    """Simulate a sequence into the folder `out`: a rosbag2, template images, truth.csv and params.yaml.
+
+    Parameters
+    ----------
+    out : the folder; new or empty, unless `overwrite`
+    simulation : its layout is taken from the format's encoding
+    bag_format : 8-bit Bayer RGGB in MCAP when None
+    targets : pictures before the camera; one procedural picture when None
+    overwrite : replace an earlier simulated bag; anything else in the folder is never touched
+    on_progress : called with (frames done, frames in all)
+
+    Returns
+    -------
+    what truth.csv holds
+
+    Raises
+    ------
+    ParameterError, ShapeError
+        If the simulation is impossible, or the sensor's bits do not fit the encoding.
+    FileError, BagError
+        If the folder holds something else, or cannot be written.
+    """
+    bag_format = bag_format or BagFormat()
+    encoding = simulated_encoding(bag_format.encoding)
+    simulation = replace(simulation, layout=encoding.layout)
+    _check_format(bag_format, encoding, simulation.sensor)
+    targets = tuple(targets) if targets is not None else default_targets(1, simulation.seed)
+    # The first frame is made before the folder is touched: it raises what is wrong with the simulation.
+    frames = simulate_sequence(simulation, targets)
+    pending = next(frames, None)
+    _prepare_folder(out, overwrite)
+    truths: list[Truth] = []
+    with BagWriter(out, bag_format.storage, bag_format.compression) as bag:
+        _write_side_files(out, targets, simulation.sensor)
+        done = 0
+        while pending is not None:
+            frame = pending.frame
+            header = Header(frame.stamp_ns, frame.frame_id)
+            pixels = frame.image.pixels.astype(encoding.dtype, copy=False)
+            image = image_message(
+                make_message, header, pixels, encoding.name,
+                row_padding=bag_format.row_padding, big_endian=bag_format.big_endian,
+            )  # fmt: skip
+            if frame.camera is not None:
+                info = camera_info_message(make_message, header, frame.camera)
+                bag.write(CAMERA_INFO_TOPIC, info, frame.stamp_ns)
+            bag.write(IMAGE_TOPIC, image, frame.stamp_ns)
+            truths += pending.truths
+            done += 1
+            on_progress(done, simulation.frames)
+            pending = next(frames, None)
+    write_truth(out / TRUTH_FILE, truths)
+    return tuple(truths)
+
+
+def simulated_encoding(name: str) -> Encoding:
+    """Return the encoding `name`, if frames can be simulated in it.
+
+    Raises
+    ------
+    EncodingError, ParameterError
+        If there is no such encoding, or it is not Bayer, mono, RGB or BGR of 8 or 16 bits.
+    """
+    encoding = encoding_named(name)
+    colors = (ColorModel.BAYER, ColorModel.MONO, ColorModel.RGB, ColorModel.BGR)
+    if encoding.layout.color not in colors or encoding.dtype not in (np.dtype(np.uint8), np.dtype(np.uint16)):
+        raise ParameterError(f"encoding: {name!r}; need bayer_*8, bayer_*16, mono8, mono16, rgb8, rgb16, bgr8 or bgr16")
+    return encoding
+
+
+def _check_format(bag_format: BagFormat, encoding: Encoding, sensor: Sensor | None) -> None:
+    bits = 16 if sensor is None else sensor.bits
+    if bits > 8 * encoding.dtype.itemsize:
+        raise ParameterError(f"bits: {bits}; need {8 * encoding.dtype.itemsize} or fewer for {encoding.name}")
+    if not 0 <= bag_format.row_padding <= 65536:
+        raise ParameterError(f"row padding: {bag_format.row_padding} bytes; need 0 to 65536")
+
+
+def _prepare_folder(out: Path, overwrite: bool) -> None:
+    """Make room for the bag: the folder ends up empty or absent."""
+    if not out.is_dir():
+        if out.exists():
+            raise FileError(f"{out}: is a file; need a new or an empty folder")
+        return
+    present = sorted(out.iterdir())
+    if not present:
+        return
+    if not overwrite:
+        raise FileError(f"{out}: folder is not empty; need a new or an empty one, or --overwrite")
+    own = {path for pattern in (*_BAG_FILES, *_OWN_FILES) for path in out.glob(pattern) if not path.is_dir()}
+    foreign = [path for path in present if path not in own]
+    if foreign or not {out / TRUTH_FILE, out / PARAMETER_FILE} & own:
+        what = f"{foreign[0].name} is not from a simulation" if foreign else "it holds no simulated bag"
+        raise FileError(f"{out}: {what}; need a new folder, an empty one, or an earlier simulated bag")
+    try:
+        for path in own:
+            path.unlink()
+    except OSError as error:
+        raise FileError(f"{error.filename}: {error.strerror}; need a folder that can be written") from None
+
+
+def _write_side_files(out: Path, targets: Sequence[TargetImage], sensor: Sensor | None) -> None:
+    paths = [out.resolve() / f"{target.name}.png" for target in targets]
+    for path, target in zip(paths, targets, strict=True):
+        write_image(path, target.pixels)
+    values: dict[str, object] = {
+        "targets": {
+            "images": [str(path) for path in paths],
+            "widths_m": [float(target.width_m) for target in targets],
+            "names": [target.name for target in targets],
+        }
+    }
+    raw: dict[str, object] = {}
+    if sensor is None or sensor.bits > 8:
+        raw["significant_bits"] = 16 if sensor is None else sensor.bits
+    if sensor is not None and sensor.black_level_dn:
+        raw["black_level"] = float(sensor.black_level_dn)
+    if raw:
+        values["raw"] = raw
+    text = yaml.safe_dump({"/**": {"ros__parameters": values}}, sort_keys=False, allow_unicode=True)
+    try:
+        (out / PARAMETER_FILE).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{out / PARAMETER_FILE}: {error.strerror}; need a folder that can be written") from None
