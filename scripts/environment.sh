@@ -104,7 +104,7 @@ _find_python() {
     if [[ -n $broken ]]; then
         fail "Python $broken has no venv module; need: sudo apt install python$broken-venv"
     fi
-    fail "no Python ${*// / or } found on PATH; need: sudo apt install python3 python3-venv (or set IMGU_PYTHON to an interpreter)"
+    fail "no Python$(printf ' or %s' "$@" | cut -c4-) found on PATH; need: sudo apt install python3 python3-venv (or set IMGU_PYTHON to an interpreter)"
 }
 
 _try_python() {

@@ -1,0 +1,192 @@
+"""The environments that the scripts make: chosen interpreter, one installation, recovery; with impostors for Python."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+
+#: Behaves like an interpreter as far as environment.sh looks, and writes down what it was asked for.
+IMPOSTOR = """#!/usr/bin/env bash
+version=$(basename "$0"); version=${version#python}
+[[ $version == 3.* ]] || version=%(version)s
+case "$*" in
+    *ensurepip*) exit %(no_venv)d ;;
+    *"print("*) echo "$version" ;;
+    *platform*) echo "$version.0" ;;
+    *"-m venv"*) mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; echo "venv $version" >>"$LOG" ;;
+    *"-m pip --version"*) ;;
+    *"-m pip install"*setuptools) ;;
+    *"-m pip install"*) [[ ! -e $LOG.broken ]] || exit 1; last=${@: -1}; echo "install ${last##*/}" >>"$LOG" ;;
+    *) echo "unexpected: $*" >&2; exit 99 ;;
+esac
+"""
+#: A shim of pyenv for a version that is not switched on.
+SHIM = "#!/bin/sh\necho 'command not found' >&2\nexit 127\n"
+
+
+class Sandbox:
+    """A copy of the repository's scripts with impostors for the interpreters on PATH."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "repository with space"
+        self.programs = folder / "bin"
+        self.log = folder / "log"
+        (self.root / "scripts").mkdir(parents=True)
+        self.programs.mkdir()
+        shutil.copy(REPOSITORY / "scripts" / "environment.sh", self.root / "scripts")
+        for name in ("setup.py", "setup.cfg", "package.xml", "constraints.txt"):
+            (self.root / name).write_text(name)
+        # The real interpreters of this machine stay out of sight.
+        for name in ("python3.12", "python3.11", "python3"):
+            self.program(name, SHIM)
+
+    def program(self, name: str, text: str) -> None:
+        path = self.programs / name
+        path.write_text(text)
+        path.chmod(0o755)
+
+    def python(self, name: str, version: str = "3.12", has_venv: bool = True) -> None:
+        self.program(name, IMPOSTOR % {"version": version, "no_venv": 0 if has_venv else 1})
+
+    def run(self, extras: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
+        make = f'make_environment "$ROOT/.venv" constraints.txt "{extras}"'
+        code = f"set -euo pipefail; source scripts/environment.sh; {make}"
+        variables = {
+            "PATH": f"{self.programs}:{os.defpath}",
+            "HOME": str(self.root),
+            "LOG": str(self.log),
+            **environment,
+        }
+        return subprocess.run(
+            ["bash", "-c", code, "scripts/demo"],
+            cwd=self.root,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+
+    def asked(self) -> list[str]:
+        """Return what was asked for since the last call."""
+        lines = self.log.read_text().splitlines() if self.log.exists() else []
+        self.log.unlink(missing_ok=True)
+        return lines
+
+
+@pytest.fixture
+def sandbox(tmp_path: Path) -> Sandbox:
+    return Sandbox(tmp_path)
+
+
+def test_second_run_does_nothing(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    first, second = sandbox.run("ros,test"), sandbox.run("ros,test")
+    assert (first.returncode, second.returncode) == (0, 0), first.stderr + second.stderr
+    assert sandbox.asked() == ["venv 3.12", "install repository with space[ros,test]"]
+    assert "installing" in first.stderr
+    assert second.stderr == ""
+
+
+def test_more_serves_less(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    asked = [(sandbox.run(extras).returncode, sandbox.asked()) for extras in ("", "ros,test", "")]
+    assert asked == [
+        (0, ["venv 3.12", "install repository with space"]),
+        (0, ["install repository with space[ros,test]"]),
+        (0, []),
+    ]
+
+
+@pytest.mark.parametrize("changed", ["constraints.txt", "setup.py", "setup.cfg", "package.xml"])
+def test_change_installs_again(sandbox: Sandbox, changed: str) -> None:
+    sandbox.python("python3.12")
+    sandbox.run()
+    sandbox.asked()
+    (sandbox.root / changed).write_text("other")
+    assert sandbox.run().returncode == 0
+    assert sandbox.asked() == ["install repository with space"]
+
+
+def test_interrupted_installation_starts_afresh(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    broken = Path(f"{sandbox.log}.broken")
+    broken.touch()
+    assert sandbox.run().returncode != 0
+    broken.unlink()
+    (sandbox.root / ".venv" / "half a package").touch()
+    assert sandbox.run().returncode == 0
+    assert sandbox.asked() == ["venv 3.12", "venv 3.12", "install repository with space"]
+    assert not (sandbox.root / ".venv" / "half a package").exists()
+
+
+def test_moved_repository_starts_afresh(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    sandbox.run()
+    sandbox.root = sandbox.root.rename(sandbox.root.parent / "elsewhere")
+    sandbox.asked()
+    assert sandbox.run().returncode == 0
+    assert sandbox.asked() == ["venv 3.12", "install elsewhere"]
+
+
+def test_environment_of_somebody_else_is_left_alone(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    (sandbox.root / ".venv").mkdir()
+    (sandbox.root / ".venv" / "precious").touch()
+    done = sandbox.run()
+    assert done.returncode == 1
+    assert "IMGU_VENV" in done.stderr
+    assert (sandbox.root / ".venv" / "precious").exists()
+
+
+def test_interpreter_that_runs_is_chosen(sandbox: Sandbox) -> None:
+    sandbox.python("python3", version="3.11")
+    assert sandbox.run().returncode == 0
+    assert sandbox.asked()[0] == "venv 3.11"
+
+
+def test_interpreter_of_pyenv_is_found_behind_its_shim(sandbox: Sandbox) -> None:
+    folder = sandbox.root / ".pyenv" / "versions" / "3.12.4" / "bin"
+    folder.mkdir(parents=True)
+    sandbox.python("python")
+    shutil.move(sandbox.programs / "python", folder / "python")
+    assert sandbox.run().returncode == 0
+    assert sandbox.asked()[0] == "venv 3.12"
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "has_venv", "need"),
+    [
+        ("python3", "3.9", True, "no Python 3.12 or 3.11 found on PATH"),
+        ("python3", "3.14", True, "no Python 3.12 or 3.11 found on PATH"),
+        ("python3.11", "3.11", False, "sudo apt install python3.11-venv"),
+        ("python", "3.12", True, "IMGU_PYTHON"),
+    ],
+)
+def test_what_is_missing_is_said(sandbox: Sandbox, name: str, version: str, has_venv: bool, need: str) -> None:
+    sandbox.python(name, version, has_venv)
+    done = sandbox.run()
+    assert done.returncode == 1
+    assert done.stderr.startswith("demo: error: ")
+    assert need in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_wrong_interpreter_on_request_is_refused(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    done = sandbox.run(IMGU_PYTHON="python3.11")
+    assert done.returncode == 1
+    assert "IMGU_PYTHON=python3.11" in done.stderr
+
+
+@pytest.mark.parametrize("script", ["scripts/demo", "scripts/test", "scripts/pin", "scripts/environment.sh", ".ci/run"])
+def test_scripts_parse(script: str) -> None:
+    path = REPOSITORY / script
+    assert subprocess.run(["bash", "-n", str(path)], capture_output=True, text=True, timeout=30).stderr == ""
+    assert os.access(path, os.X_OK) == (path.suffix != ".sh")
