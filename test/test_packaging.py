@@ -130,15 +130,13 @@ def test_imports_are_declared(arguments: dict[str, Any], manifest: ElementTree.E
     required = {canonicalize_name(Requirement(line).name) for line in arguments["install_requires"]}
     keys = {item.text for item in manifest.findall("exec_depend")}
     used = imported_roots(PACKAGE)
-    third_party = {root for root in used if root in DISTRIBUTIONS}
+    third_party = used & DISTRIBUTIONS.keys()
+    assert {DISTRIBUTIONS[root][0] for root in third_party} == required
+    rosdep_keys = {DISTRIBUTIONS[root][1] for root in third_party} - {""}
+    assert rosdep_keys == {key for key in keys if key.startswith("python3-")}
     # What is no library from pip must be a ROS package, declared under its own name.
     assert used - third_party <= keys
-    assert {DISTRIBUTIONS[root][0] for root in third_party} == required
-    assert {DISTRIBUTIONS[root][1] for root in third_party} == {key for key in keys if key.startswith("python3-")}
-    assert (
-        imported_roots(REPOSITORY / "launch") - {"launch", "launch_ros", "lifecycle_msgs", "ament_index_python"}
-        == set()
-    )
+    assert imported_roots(REPOSITORY / "launch") <= keys
 
 
 @pytest.mark.parametrize("file", CONSTRAINTS)
@@ -198,20 +196,13 @@ class Blocker:
 sys.meta_path.insert(0, Blocker())
 import imgu_ros
 for module in pkgutil.walk_packages(imgu_ros.__path__, "imgu_ros."):
-    if not module.name.startswith({skipped}):
+    if not module.name.startswith({skipped!r}):
         importlib.import_module(module.name)
 """
 
 
-@pytest.mark.parametrize(
-    ("blocked", "skipped"),
-    [
-        ({"rclpy", "sensor_msgs", "geometry_msgs", "std_msgs", "rcl_interfaces", "tf2_msgs"}, ("imgu_ros.ros.",)),
-        ({"rosbags", "rclpy"}, ("imgu_ros.ros.", "imgu_ros.bags.")),
-    ],
-    ids=["without ROS", "without bags"],
-)
-def test_modules_import(blocked: set[str], skipped: tuple[str, ...]) -> None:
-    code = BLOCKED_IMPORTS.format(blocked=sorted(blocked), skipped=skipped)
+def test_everything_but_the_nodes_imports_without_ros() -> None:
+    blocked = ["rclpy", "builtin_interfaces", "sensor_msgs", "geometry_msgs", "std_msgs", "rcl_interfaces", "tf2_msgs"]
+    code = BLOCKED_IMPORTS.format(blocked=blocked, skipped="imgu_ros.ros.")
     done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
