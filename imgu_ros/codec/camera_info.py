@@ -147,7 +147,7 @@ def _lens(message: Any) -> _Lens:
         return _Lens(DistortionModel.PLUMB_BOB, given)
     if name not in list(DistortionModel):
         nearest = difflib.get_close_matches(name[:40], list(DistortionModel), n=1, cutoff=0.0)[0]
-        raise EncodingError(f"camera_info: distortion_model {name[:40]!r} is unknown; nearest known: {nearest!r}")
+        raise EncodingError(f"camera_info: distortion_model {name[:40]!r} is unknown; nearest known: '{nearest}'")
     model = DistortionModel(name)
     # Some drivers send all eight coefficients under the older name; the first five mean the same in both models.
     if model is DistortionModel.PLUMB_BOB and len(given) > COEFFICIENTS[model]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -82,12 +83,16 @@ def decode_point_cloud(message: Any) -> Table:
 
 
 def _field(make: MessageFactory, dtype: np.dtype[Any], name: str) -> Any:
-    column, offset = (dtype.fields or {})[name][:2]
+    column, offset = _columns(dtype)[name][:2]
     base, shape = column.subdtype or (column, (1,))
     datatype = _DATATYPES.get(base.str[1:]) if base.isnative and len(shape) == 1 else None
     if datatype is None:
         raise EncodingError(f"field {name}: {column}; need native numbers of {', '.join(_DATATYPES)}, or a row of them")
     return make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=shape[0])
+
+
+def _columns(dtype: np.dtype[Any]) -> Mapping[str, Any]:
+    return dtype.fields if dtype.fields is not None else {}
 
 
 def _dtype(message: Any, point_step: int) -> np.dtype[Any]:

@@ -175,7 +175,7 @@ FRAME_OUTPUTS: Mapping[str, FrameOutput] = {
     "status": FrameOutput("diagnostic_msgs/msg/DiagnosticArray", result_status_message),
 }
 
-#: Topics of each target, under `targets/<name>/` and, of the first, without a prefix; beside them `path` (`PathHistory`).
+#: Topics of each target, under `targets/<name>/`, and of the first without it; beside them `path` (`PathHistory`).
 TARGET_OUTPUTS: Mapping[str, TargetOutput] = {
     "outline": TargetOutput("geometry_msgs/msg/PolygonStamped", target_outline_message),
     "pose": TargetOutput("geometry_msgs/msg/PoseWithCovarianceStamped", target_pose_message),

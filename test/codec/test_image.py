@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import math
+import re
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imgu_ros.codec.encodings import encoding_for, encoding_named, is_image_encoding
+from imgu_ros.codec.header import Header
+from imgu_ros.codec.image import decode_image, image_message
+from imgu_ros.errors import EncodingError
+from imgu_ros.vision.formation.cfa import BayerPattern
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
+
+HEADER = Header(1_700_000_000_123_456_789, "camera")
+
+#: name: (struct code, channels, layout), written down independently of the codec's table.
+ENCODINGS = {
+    "mono8": ("B", 1, PixelLayout(ColorModel.MONO)),
+    "mono16": ("H", 1, PixelLayout(ColorModel.MONO)),
+    "rgb8": ("B", 3, PixelLayout(ColorModel.RGB)),
+    "bgr8": ("B", 3, PixelLayout(ColorModel.BGR)),
+    "rgba8": ("B", 4, PixelLayout(ColorModel.RGBA)),
+    "bgra8": ("B", 4, PixelLayout(ColorModel.BGRA)),
+    "rgb16": ("H", 3, PixelLayout(ColorModel.RGB)),
+    "bgr16": ("H", 3, PixelLayout(ColorModel.BGR)),
+    "rgba16": ("H", 4, PixelLayout(ColorModel.RGBA)),
+    "bgra16": ("H", 4, PixelLayout(ColorModel.BGRA)),
+    "uyvy": ("B", 2, PixelLayout(ColorModel.UYVY)),
+    "yuv422": ("B", 2, PixelLayout(ColorModel.UYVY)),
+    "yuyv": ("B", 2, PixelLayout(ColorModel.YUYV)),
+    "yuv422_yuy2": ("B", 2, PixelLayout(ColorModel.YUYV)),
+    **{
+        f"bayer_{p}{bits}": (code, 1, PixelLayout(ColorModel.BAYER, BayerPattern(p)))
+        for p in ("rggb", "bggr", "grbg", "gbrg")
+        for bits, code in ((8, "B"), (16, "H"))
+    },
+    **{
+        f"{depth}C{n}": (code, n, PixelLayout(ColorModel.BANDS))
+        for depth, code in {"8U": "B", "8S": "b", "16U": "H", "16S": "h", "32S": "i", "32F": "f", "64F": "d"}.items()
+        for n in (1, 2, 3, 4, 7, 31)
+    },
+    "16U": ("H", 1, PixelLayout(ColorModel.BANDS)),
+}
+
+
+def hand_made(make, encoding: str, width: int, height: int, padding: int, big_endian: bool):
+    """A message packed value by value, and those values."""
+    code, channels, _ = ENCODINGS[encoding]
+    generator = np.random.default_rng(3)
+    raw = generator.integers(0, 256, (height, width * channels * struct.calcsize(code)), np.uint8)
+    if code in "fd":  # random bytes would hold NaN
+        values = generator.normal(size=(height, width * channels)).astype(code)
+    else:
+        values = raw.view(code)
+    order = ">" if big_endian else "<"
+    data = b"".join(
+        struct.pack(f"{order}{width * channels}{code}", *row) + b"\xee" * padding for row in values.tolist()
+    )
+    message = make(
+        "sensor_msgs/msg/Image",
+        header=make("std_msgs/msg/Header", frame_id="camera"),
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=len(data) // height,
+        data=np.frombuffer(data, np.uint8),
+    )
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    return message, values.reshape(shape)
+
+
+@pytest.mark.parametrize("big_endian", [False, True], ids=["little", "big"])
+@pytest.mark.parametrize("padding", [0, 3, 16])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_encoding_padding_and_byte_order(make, encoding, padding, big_endian):
+    message, expected = hand_made(make, encoding, 6, 5, padding, big_endian)
+    image = decode_image(message)
+    assert image.layout == ENCODINGS[encoding][2]
+    assert image.pixels.dtype == expected.dtype
+    assert image.pixels.dtype.isnative
+    np.testing.assert_array_equal(image.pixels, expected)
+    with pytest.raises(ValueError, match="read-only"):
+        image.pixels[0, 0] = 1
+
+    # And back: the same bytes, from pixels.
+    again = image_message(make, HEADER, expected, encoding, row_padding=padding, big_endian=big_endian)
+    assert (again.width, again.height, again.step) == (message.width, message.height, message.step)
+    assert (again.encoding, again.is_bigendian) == (encoding, int(big_endian))
+    np.testing.assert_array_equal(
+        np.frombuffer(again.data, np.uint8).reshape(5, -1)[:, : message.step - padding],
+        np.frombuffer(message.data, np.uint8).reshape(5, -1)[:, : message.step - padding],
+    )
+
+
+@pytest.mark.parametrize(("encoding", "padding"), [("bayer_rggb8", 3), ("bayer_rggb16", 32), ("rgb8", 0), ("rgb16", 2)])
+def test_pixels_are_a_view_of_the_message(make, encoding, padding):
+    message, _ = hand_made(make, encoding, 6, 5, padding, big_endian=False)
+    pixels = decode_image(message).pixels
+    assert np.shares_memory(pixels, np.frombuffer(message.data, np.uint8))
+    assert pixels.strides[0] == message.step
+
+
+def test_byte_order_means_nothing_for_8_bit(make):
+    message, expected = hand_made(make, "bayer_gbrg8", 6, 5, 0, big_endian=True)
+    pixels = decode_image(message).pixels
+    np.testing.assert_array_equal(pixels, expected)
+    assert np.shares_memory(pixels, np.frombuffer(message.data, np.uint8))
+
+
+def test_pixels_that_are_not_aligned_are_copied(make):
+    message, expected = hand_made(make, "bayer_rggb16", 6, 5, 1, big_endian=False)  # odd step
+    pixels = decode_image(message).pixels
+    assert pixels.flags.aligned
+    assert pixels.flags.c_contiguous
+    np.testing.assert_array_equal(pixels, expected)
+
+
+def test_extra_bytes_after_the_last_row_are_ignored(make):
+    message, expected = hand_made(make, "mono16", 6, 5, 0, big_endian=False)
+    message = with_fields(make, message, data=np.append(np.frombuffer(message.data, np.uint8), np.uint8([1, 2, 3])))
+    np.testing.assert_array_equal(decode_image(message).pixels, expected)
+
+
+def with_fields(make, message, **changes):
+    names = ("header", "height", "width", "encoding", "is_bigendian", "step")
+    fields = {name: getattr(message, name) for name in names} | {"data": np.frombuffer(message.data, np.uint8)}
+    return make("sensor_msgs/msg/Image", **(fields | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"width": 0}, "image: 0 x 5 px; need positive"),
+        ({"height": 0}, "image: 6 x 0 px; need positive"),
+        ({"step": 0}, "step: 0 bytes; need at least 12 for 6 px of bayer_rggb16"),
+        ({"step": 11}, "step: 11 bytes; need at least 12"),
+        ({"data": np.zeros(59, np.uint8)}, "data: 59 bytes; need step x height = 12 x 5 = 60"),
+        ({"data": np.zeros(0, np.uint8)}, "data: 0 bytes; need step x height"),
+        ({"width": 2**32 - 1}, "step: 12 bytes; need at least 8589934590"),
+        ({"height": 2**32 - 1}, "data: 60 bytes; need step x height"),
+        ({"step": 2**32 - 1, "width": 2**31 - 1, "height": 2**32 - 1}, "data: 60 bytes; need step x height"),
+        ({"encoding": "bayer_rggb12"}, "encoding: 'bayer_rggb12' is unknown; nearest known: 'bayer_rggb"),
+        ({"encoding": ""}, "encoding: '' is unknown"),
+        ({"encoding": "8UC0"}, "encoding: '8UC0' is unknown; nearest known: '8UC"),
+        ({"encoding": "8UC99999999999999"}, "unknown"),
+        ({"encoding": "rgb8\n" * 1000}, r"encoding: 'rgb8\nrgb8"),
+        ({"encoding": "yuyv", "width": 5}, "width: 5 px; need an even width for yuyv"),
+    ],
+)
+def test_hostile_headers(make, changes, says):
+    message, _ = hand_made(make, "bayer_rggb16", 6, 5, 0, big_endian=False)
+    with pytest.raises(EncodingError, match=re.escape(says)) as caught:
+        decode_image(with_fields(make, message, **changes))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(("field", "value"), [("width", -6), ("height", -1), ("step", -12)])
+def test_negative_sizes(make, field, value):
+    message, _ = hand_made(make, "bayer_rggb16", 6, 5, 0, big_endian=False)
+    object.__setattr__(message, "_" + field if hasattr(message, "_" + field) else field, value)
+    with pytest.raises(EncodingError):
+        decode_image(message)
+
+
+@given(
+    st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.sampled_from(list(ENCODINGS))
+)
+def test_any_header_is_read_or_refused(width, height, step, encoding):
+    from imgu_ros.bags.messages import make_message
+
+    data = np.zeros(4096, np.uint8)
+    message = make_message("sensor_msgs/msg/Image", width=width, height=height, step=step, encoding=encoding, data=data)
+    try:
+        pixels = decode_image(message).pixels
+    except EncodingError:
+        return
+    assert pixels.shape[:2] == (height, width)
+    assert step * height <= len(data)
+
+
+@st.composite
+def pictures(draw):
+    encoding = draw(st.sampled_from(list(ENCODINGS)))
+    code, channels, layout = ENCODINGS[encoding]
+    width = draw(st.integers(1, 9)) * (2 if layout.color in (ColorModel.UYVY, ColorModel.YUYV) else 1)
+    height = draw(st.integers(1, 9))
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    size = math.prod(shape) * np.dtype(code).itemsize
+    return encoding, np.frombuffer(draw(st.binary(min_size=size, max_size=size)), code).reshape(shape)
+
+
+@given(pictures(), st.integers(0, 9), st.booleans())
+def test_round_trip(make, picture, padding, big_endian):
+    encoding, pixels = picture
+    message = image_message(make, HEADER, pixels, encoding, row_padding=padding, big_endian=big_endian)
+    decoded = decode_image(message).pixels
+    assert decoded.dtype == pixels.dtype
+    assert decoded.tobytes() == pixels.tobytes()  # as bytes: NaN included
+
+
+def test_encoder_takes_any_memory_layout(make):
+    pixels = np.arange(6 * 8 * 3, dtype=np.uint16).reshape(6, 8, 3)
+    for view in (pixels[::-1, ::2], pixels[:, :, ::-1], pixels.astype(">u2"), np.asfortranarray(pixels)):
+        np.testing.assert_array_equal(decode_image(image_message(make, HEADER, view, "rgb16")).pixels, view)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "encoding", "says"),
+    [
+        (np.zeros((4, 4, 3), np.uint8), "mono8", "pixels: shape (4, 4, 3); need (H, W)"),
+        (np.zeros((4, 4), np.uint8), "rgb8", "need (H, W, 3)"),
+        (np.zeros((0, 4), np.uint8), "mono8", "shape (0, 4)"),
+        (np.zeros((4, 4), np.uint16), "mono8", "pixels: data type uint16; need uint8 for mono8"),
+        (np.zeros((4, 3, 2), np.uint8), "yuyv", "even width"),
+        (np.zeros((4, 4), np.uint8), "mono9", "nearest known: 'mono8'"),
+    ],
+)
+def test_encoder_refuses_what_does_not_fit(make, pixels, encoding, says):
+    with pytest.raises(EncodingError, match=re.escape(says)):
+        image_message(make, HEADER, pixels, encoding)
+
+
+def test_names():
+    assert encoding_named("16SC12").channels == 12
+    assert encoding_named("rgb16").pixel_bytes == 6
+    assert is_image_encoding("bayer_grbg16")
+    assert not is_image_encoding("nv21")
+    assert encoding_for(np.uint16, 3) == "rgb16"
+    with pytest.raises(EncodingError, match="float64"):
+        encoding_for(np.float64, 1)
+
+
+def test_header(make):
+    message = image_message(make, Header(-1, "left/optical"), np.zeros((2, 2), np.uint8), "mono8")
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (-1, 999_999_999)
+    from imgu_ros.codec.header import decode_header
+
+    assert decode_header(message) == Header(-1, "left/optical")
+    with pytest.raises(EncodingError, match="32 bits"):
+        image_message(make, Header(2**31 * 10**9, ""), np.zeros((2, 2), np.uint8), "mono8")
