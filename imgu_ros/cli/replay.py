@@ -71,13 +71,14 @@ def accuracy_table(summary: Summary) -> str:
 def _target_lines(target: TargetSummary) -> list[str]:
     from imgu_ros.report.html import figures
 
-    lines = [f"{target.name}", f"  {'found / frames':<30}{target.found} / {target.frames}"]
+    lines = [f"{target.name}", f"  {'found / frames':<32}{target.found} / {target.frames}"]
 
     def add(name: str, values: Percentiles | None) -> None:
         if values is not None:
-            lines.append(f"  {name:<30}{figures(values.p50)} / {figures(values.p95)}")
+            lines.append(f"  {name:<32}{figures(values.p50, 2)} / {figures(values.p95, 2)}")
 
-    add("inliers, p50 / p95", target.n_inliers)
+    if target.n_inliers is not None:
+        lines.append(f"  {'inliers, p50':<32}{figures(target.n_inliers.p50)}")
     add("residual px, p50 / p95", target.rms_px)
     add("corner error px, p50 / p95", target.corner_error_px)
     add("rotation error deg, p50 / p95", target.rotation_error_deg)
@@ -85,7 +86,7 @@ def _target_lines(target: TargetSummary) -> list[str]:
     missing = [f"{count} {name}" for name, count in target.status.items() if count and name not in _FOUND]
     missing += [f"{count} {name}" for name, count in target.pose_status.items() if count and name != "metric"]
     if missing:
-        lines.append(f"  {'without a find or a pose':<30}{', '.join(missing)}")
+        lines.append(f"  {'without a find or a pose':<32}{', '.join(missing)}")
     return lines
 
 

@@ -133,7 +133,8 @@ def _draw_axes(pen: _Pen, target: TargetResult, camera: Camera | None) -> None:
     if length is None:
         return
     origin = target.pose.t
-    for axis, color in ((2, _AXES[2]), (0, _AXES[0]), (1, _AXES[1])):
+    # z last: it comes out of the printed face, towards the viewer.
+    for axis, color in enumerate(_AXES):
         ends = np.array([origin, origin + length * target.pose.R[:, axis]])
         try:
             points = camera.project(ends)
@@ -160,7 +161,7 @@ def _status_text(target: TargetResult) -> str:
         parts += [f"{np.count_nonzero(target.homography.inliers)} inliers", f"{target.homography.rms_px:.2f} px"]
     if target.pose is not None:
         sigma_mm = 1e3 * float(np.sqrt(np.trace(target.pose.covariance[:3, :3])))
-        parts.append(f"{np.linalg.norm(target.pose.t):.3f} m +- {sigma_mm:.1f} mm")
+        parts.append(f"{np.linalg.norm(target.pose.t):.3f} m +- {sigma_mm:.2g} mm")
     elif target.pose_status is not PoseStatus.NONE:
         parts.append(target.pose_status.value.replace("_", " "))
     if target.reason and not target.status.found:

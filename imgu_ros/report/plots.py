@@ -48,17 +48,22 @@ def plot_trajectory(table: FrameTable, target: int) -> Figure | None:
     if np.isnan(estimate).all():
         return None
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH, 3.6), layout="constrained")
-        space: Any = figure.add_subplot(1, 3, 1, projection="3d")
+        figure = Figure(figsize=(_WIDTH, 3.7))
+        grid = figure.add_gridspec(
+            1, 3, width_ratios=[1.25, 1, 1], left=0.0, right=0.985, bottom=0.14, top=0.91, wspace=0.33
+        )
+        space: Any = figure.add_subplot(grid[0], projection="3d")
         for points, style in _ways(estimate, truth):
             space.plot(points[:, 0], points[:, 2], points[:, 1], **style)
         space.scatter([0], [0], [0], marker="s", color="#999999", s=18)
         space.set(xlabel="x (m)", ylabel="z (m)", zlabel="y (m)")
-        space.set_box_aspect(_box(estimate))
+        space.set_box_aspect(_box(estimate), zoom=0.86)
+        space.tick_params(labelsize=7.5, pad=0)
+        space.xaxis.labelpad = space.yaxis.labelpad = space.zaxis.labelpad = 2
         space.locator_params(nbins=4)
-        space.set_title("3-D (grey square: the target)")
-        for column, (name, across) in enumerate((("from above", 0), ("from the side", 1)), 2):
-            flat = figure.add_subplot(1, 3, column)
+        space.set_title("  3-D (grey square: the target)")
+        for column, (name, across) in enumerate((("from above", 0), ("from the side", 1)), 1):
+            flat = figure.add_subplot(grid[column])
             for points, style in _ways(estimate, truth):
                 flat.plot(points[:, across], points[:, 2], **style)
             flat.plot([0], [0], marker="s", color="#999999", linestyle="none")

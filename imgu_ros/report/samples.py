@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
+import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.perception.result import Result
@@ -63,8 +64,9 @@ class Samples:
 
     def chosen(self) -> tuple[Sample, ...]:
         """Return the kept samples in order of time."""
-        step = max(1, round(len(self._even) / _KEPT))
-        kept = {sample.index: sample for sample in (*self._even[::step], *self._misses)}
+        places = np.linspace(0, len(self._even) - 1, min(_KEPT, len(self._even)))
+        even = [self._even[round(place)] for place in places]
+        kept = {sample.index: sample for sample in (*even, *self._misses)}
         return tuple(kept[index] for index in sorted(kept))
 
 
