@@ -20,15 +20,19 @@ from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.refine import HomographyError
 from imgu_ros.vision.projective.transform import local_jacobian, transform
 
-#: Image pyramid levels of the first and of the second alignment: the first must bridge the detection's error.
-_LK_LEVELS = (2, 0)
+#: Image pyramid levels of the first alignment, which must bridge the detection's error.
+_FIRST_LK_LEVELS = 2
 _LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
 _MIN_EIGENVALUE = 1e-4
 _CONSENSUS_PX = 1.5
-_OUTLIER_SIGMAS = 3.0
+#: Of the patches sought, the share that must agree after the first alignment.
 _MIN_SHARE = 0.3
+#: Room around the patches, for their windows and for the first alignment's pyramid.
 _MARGIN_PX = 32
-
+_TRIMMINGS = 4
+_OUTLIER_SIGMAS = 3.6
+_RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
+_FLOOR_PX = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
@@ -72,24 +76,43 @@ def refine_by_alignment(
     NoConsensus, TooFewPoints, DegenerateConfiguration
         If the patches do not agree on a homography.
     """
-    alignment: Alignment | None = None
-    for lk_levels in _LK_LEVELS:
-        alignment = _aligned(grey, target, H, camera, parameters, min_points, rng, lk_levels)
-        H = alignment.homography.H
-    assert alignment is not None
-    return alignment
+    coarse = _follow(grey, target, H, camera, parameters, min_points, _FIRST_LK_LEVELS)
+    consensus = estimate_homography(
+        coarse.template_xy,
+        coarse.ideal_xy,
+        rng,
+        threshold_px=_CONSENSUS_PX,
+        confidence=0.999,
+        max_iterations=256,
+        min_inliers=max(min_points, math.ceil(_MIN_SHARE * coarse.sought)),
+        error=HomographyError.TRANSFER,
+        refine=None,
+    )
+    # Drawn once more where it truly is, no patch is turned or stretched against the frame any longer.
+    fine = _follow(grey, target, consensus.H, camera, parameters, min_points, 0)
+    return _trimmed(fine, consensus.H, min_points)
 
 
-def _aligned(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Followed:
+    """Points found by Lucas-Kanade: template px, raw px, ideal px, each (N, 2); `sought` is how many were tried."""
+
+    template_xy: Points
+    image_xy: Points
+    ideal_xy: Points
+    sought: int
+
+
+def _follow(
     grey: Image,
     target: Target,
     H: Matrix3,
     camera: Camera | None,
     parameters: RefinementParameters,
     min_points: int,
-    rng: np.random.Generator,
     lk_levels: int,
-) -> Alignment:
+) -> _Followed:
+    """Draw the target where H says, and find its patches in the frame near there (Bouguet 2001)."""
     height, width = grey.shape
     octave = _fitting_level(target, H)
     template_xy, predicted = _visible(octave.corners, H, camera, (width, height), parameters)
@@ -100,52 +123,47 @@ def _aligned(
     offset = np.array([left, top], np.float64)
     view = grey[top:bottom, left:right]
 
-    H_raw = H if camera is None else _raw_homography(template_xy, predicted)
-    warped = _warped(octave, H_raw, offset, view)
-    drawn_at = transform(H_raw, template_xy) - offset
+    # Through a lens that bends, the nearest homography draws patches well enough.
+    H_raw = H if camera is None else homography_dlt(template_xy, predicted)
+    warped = _drawn(target, octave, H_raw, offset, view)
+    drawn_at = (transform(H_raw, template_xy) - offset).astype(np.float32)
     found_at, status, _ = cv2.calcOpticalFlowPyrLK(
-        warped, view, drawn_at.astype(np.float32), (predicted - offset).astype(np.float32),
-        winSize=(parameters.window_px, parameters.window_px), maxLevel=lk_levels, criteria=_LK_CRITERIA,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=_MIN_EIGENVALUE,
+        warped,
+        view,
+        drawn_at,
+        (predicted - offset).astype(np.float32),
+        winSize=(parameters.window_px, parameters.window_px),
+        maxLevel=lk_levels,
+        criteria=_LK_CRITERIA,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=_MIN_EIGENVALUE,
     )
-    # The rounding of the drawn points to float32 is undone: it is not part of the displacement.
-    displaced = found_at.astype(np.float64) + (drawn_at - drawn_at.astype(np.float32))
-    good = status.ravel() == 1
-    image_xy = displaced + offset
-    # A patch drawn at H_raw that is seen at predicted + d is the template point seen at that place.
-    template_xy, image_xy = template_xy[good], image_xy[good]
-    ideal = image_xy
-    if camera is not None:
-        ideal, valid = camera.ideal_pixels(image_xy)
-        template_xy, image_xy, ideal = template_xy[valid], image_xy[valid], ideal[valid]
-    consensus = estimate_homography(
-        template_xy, ideal, rng,
-        threshold_px=_CONSENSUS_PX, confidence=0.999, max_iterations=256, refine=None, error=HomographyError.TRANSFER,
-        min_inliers=max(min_points, math.ceil(_MIN_SHARE * len(predicted))),
-    )
-    return _trimmed(template_xy, image_xy, ideal, consensus, min_points)
+    # Rounding the starting points to float32 moved them; what was found moves back by as much.
+    rounded = transform(H_raw, template_xy) - offset - drawn_at
+    image_xy = found_at.astype(np.float64) + rounded + offset
+    good = (status.ravel() == 1) & np.isfinite(image_xy).all(axis=1)
+    template_xy, image_xy, sought = template_xy[good], image_xy[good], len(template_xy)
+    if camera is None:
+        return _Followed(template_xy, image_xy, image_xy, sought)
+    ideal, valid = camera.ideal_pixels(image_xy)
+    return _Followed(template_xy[valid], image_xy[valid], ideal[valid], sought)
 
 
-def _trimmed(
-    template_xy: Points, image_xy: Points, ideal: Points, consensus: HomographyEstimate, min_points: int
-) -> Alignment:
-    """Fit by least squares, leaving out what is improbably far off under the fit's own robust scale."""
-    kept = consensus.inliers
-    H = consensus.H
-    for _ in range(3):
+def _trimmed(followed: _Followed, H: Matrix3, min_points: int) -> Alignment:
+    """Fit by least squares, leaving out what is improbably far off at the fit's own robust scale."""
+    template_xy, ideal = followed.template_xy, followed.ideal_xy
+    kept = np.hypot(*(transform(H, template_xy) - ideal).T) <= _CONSENSUS_PX
+    for _ in range(_TRIMMINGS):
+        if np.count_nonzero(kept) < min_points:
+            raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
         fit = fit_homography(template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H)
         H = fit.H
         distance = np.hypot(*(transform(H, template_xy) - ideal).T)
-        # Median of a Rayleigh distribution: 1.1774 sigma.
-        sigma = float(np.median(distance[kept])) / 1.1774
-        now = distance <= max(_OUTLIER_SIGMAS * 1.2 * sigma, 0.02)
-        if np.count_nonzero(now) < min_points:
-            raise NoConsensus(f"patches: {np.count_nonzero(now)} agree; need {min_points}")
-        if np.array_equal(now, kept):
+        sigma = float(np.median(distance[kept])) / _RAYLEIGH_MEDIAN
+        previous, kept = kept, distance <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX)
+        if np.array_equal(previous, kept):
             break
-        kept = now
-    fit = fit_homography(template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H)
-    return Alignment(template_xy[kept], image_xy[kept], fit)
+    return Alignment(template_xy[previous], followed.image_xy[previous], fit)
 
 
 def _fitting_level(target: Target, H: Matrix3) -> AlignmentLevel:
@@ -180,23 +198,20 @@ def _visible(
     return corners, xy
 
 
-def _raw_homography(template_xy: Points, predicted: Points) -> Matrix3:
-    """Return the homography nearest to the distorted mapping: good enough to draw patches with."""
-    return homography_dlt(template_xy, predicted)
-
-
-def _warped(octave: AlignmentLevel, H_raw: Matrix3, offset: Points, view: Image) -> Image:
+def _drawn(target: Target, octave: AlignmentLevel, H_raw: Matrix3, offset: Points, view: Image) -> Image:
     """Draw the target as it should look in the view, brightness and contrast matched to it."""
     sx, sy = octave.level.step
     template_from_level = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
     view_from_image = np.array([[1, 0, -offset[0]], [0, 1, -offset[1]], [0, 0, 1]])
     size = (view.shape[1], view.shape[0])
     M = view_from_image @ H_raw @ template_from_level
-    warped = cv2.warpPerspective(octave.level.image, M, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    drawn = cv2.warpPerspective(np.full_like(octave.level.image, 255), M, size, flags=cv2.INTER_NEAREST)
-    mean_w, deviation_w = (float(v[0, 0]) for v in cv2.meanStdDev(warped, mask=drawn))
-    mean_v, deviation_v = (float(v[0, 0]) for v in cv2.meanStdDev(view, mask=drawn))
-    if deviation_w < 1.0 or deviation_v < 1.0:
-        return warped
-    gain = deviation_v / deviation_w
-    return cv2.addWeighted(warped, gain, warped, 0.0, mean_v - gain * mean_w)
+    drawn = cv2.warpPerspective(octave.level.image, M, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    covered = np.zeros(view.shape, np.uint8)
+    outline = transform(H_raw, target.outline_template) - offset
+    cv2.fillConvexPoly(covered, np.clip(np.rint(outline), -30000, 30000).astype(np.int32), 255)
+    mean_drawn, deviation_drawn = (float(v[0, 0]) for v in cv2.meanStdDev(drawn, mask=covered))
+    mean_view, deviation_view = (float(v[0, 0]) for v in cv2.meanStdDev(view, mask=covered))
+    if deviation_drawn < 1.0 or deviation_view < 1.0:
+        return drawn
+    gain = deviation_view / deviation_drawn
+    return cv2.addWeighted(drawn, gain, drawn, 0.0, mean_view - gain * mean_drawn)

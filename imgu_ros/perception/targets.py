@@ -19,7 +19,7 @@ from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyrami
 #: A target may fill this many times the frame's longer side.
 _LARGEST_VIEW = 2
 #: Keypoints of a target for each of the frame's: it is described at every scale.
-_RICHNESS = 4
+_RICHNESS = 3
 _CORNER_QUALITY = 0.005
 _CORNER_DISTANCE_PX = 6
 

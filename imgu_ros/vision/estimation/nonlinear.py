@@ -86,7 +86,7 @@ def minimise(
     *,
     loss: Loss | None = None,
     max_iterations: int = 50,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-8,
 ) -> Minimum:
     """Minimise the sum of (robustified) squared residuals.
 

@@ -14,7 +14,7 @@ PATCH_PX = 31
 SIGMA_PER_SIZE = 1.5 / PATCH_PX
 
 _FAST_THRESHOLD = 10
-_SURPLUS = 3
+_SURPLUS = 2
 
 
 def detect_orb(image: Image, max_count: int) -> Corners:
@@ -23,7 +23,7 @@ def detect_orb(image: Image, max_count: int) -> Corners:
     Parameters
     ----------
     image : (H, W) uint8
-    max_count : wanted number; up to three times as many are returned, for spreading to choose from
+    max_count : wanted number; up to twice as many are returned, for spreading to choose from
     """
     if min(image.shape) <= PATCH_PX:
         return corners_from_opencv([], SIGMA_PER_SIZE, with_angle=True)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices, Points
@@ -42,7 +41,7 @@ def match(
     mutual : keep a match only when its `src` row is also the nearest to its `dst` row
     dst_xy : (M, 2) px where the rows of `dst` lie. With it, the second nearest is the nearest *at another place*:
         one corner described at neighbouring scales does not rival itself.
-    same_place_px : how near two rows of `dst` are the same place
+    same_place_px : up to how far apart, along x and along y, two rows of `dst` are at the same place
 
     Returns
     -------
@@ -58,26 +57,23 @@ def match(
         raise ShapeError(f"dst_xy: shape {dst_xy.shape}; need ({len(dst)}, 2)")
     if not len(src) or not len(dst):
         return Matches(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
-    neighbours = _nearest(src, dst, metric, 2 if dst_xy is None else 5)
-    best, second = neighbours.distance[:, 0], _rival(neighbours, dst_xy, same_place_px)
-    # Without a rival nothing speaks against the match; two exact copies at distance 0 are fully ambiguous.
+    likeness = _likeness(src, dst, metric)
+    nearest = likeness.argmax(axis=1)
+    rows = np.arange(len(src))
+    if mutual:
+        # Equal distances, frequent among bits, count as nearest on both sides.
+        rows = rows[likeness.max(axis=0)[nearest] == likeness[rows, nearest]]
+    nearest = nearest[rows]
+    best = _distances(src[rows], dst[nearest], metric)
+    second = np.full(len(rows), np.inf)
+    rival = _rivals(likeness[rows], nearest, dst_xy, same_place_px)
+    second[rival >= 0] = _distances(src[rows[rival >= 0]], dst[rival[rival >= 0]], metric)
+    # Without a rival nothing speaks against a match; two exact copies, both at distance 0, are fully ambiguous.
     quotient = np.where(np.isfinite(second), 1.0, 0.0)
     np.divide(best, second, out=quotient, where=np.isfinite(second) & (second > 0))
-    kept = np.ones(len(src), bool) if ratio >= 1 else quotient < ratio
-    if mutual:
-        back = _nearest(dst, src, metric, 1).index[:, 0]
-        kept &= back[neighbours.index[:, 0]] == np.arange(len(src))
-    rows = np.flatnonzero(kept)
-    rows = rows[np.lexsort((rows, best[rows], quotient[rows]))]
-    return Matches(rows, neighbours.index[rows, 0], best[rows])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Neighbours:
-    """The K nearest rows, nearest first: index (N, K), distance (N, K)."""
-
-    index: Indices
-    distance: Floats
+    kept = np.flatnonzero(quotient < ratio) if ratio < 1 else np.arange(len(rows))
+    kept = kept[np.lexsort((rows[kept], best[kept], quotient[kept]))]
+    return Matches(rows[kept], nearest[kept], best[kept])
 
 
 def _checked(src: Image, dst: Image, metric: Metric) -> Metric:
@@ -93,35 +89,54 @@ def _checked(src: Image, dst: Image, metric: Metric) -> Metric:
     return metric
 
 
-def _nearest(src: Image, dst: Image, metric: Metric, count: int) -> _Neighbours:
-    count = min(count, len(dst))
+def _likeness(src: Image, dst: Image, metric: Metric) -> Image:
+    """Return a (N, M) float32 matrix that is larger the nearer two rows are: one product of matrices."""
+    if metric is Metric.HAMMING:
+        # With bits as -1 and 1 the product is D - 2 Hamming, exactly: the sums are integers below 2^24.
+        return _signs(src) @ _signs(dst).T
     if metric is Metric.COSINE:
-        src, dst = _unit(src), _unit(dst)
-    norm, depth = (cv2.NORM_HAMMING, cv2.CV_32S) if metric is Metric.HAMMING else (cv2.NORM_L2, cv2.CV_32F)
-    raw, index = cv2.batchDistance(
-        np.ascontiguousarray(src), np.ascontiguousarray(dst), depth, normType=norm, K=count
-    )
-    distance = np.asarray(raw, np.float64)
+        return _unit(src) @ _unit(dst).T
+    # |a - b|^2 = |a|^2 - 2 (a b - |b|^2 / 2), and |a| is the same along a row; but not for the mutual check.
+    halves = [np.einsum("nd,nd->n", rows, rows) / 2 for rows in (src, dst)]
+    return np.asarray(src @ dst.T - halves[1] - halves[0][:, None], np.float32)
+
+
+def _distances(a: Image, b: Image, metric: Metric) -> Floats:
+    """Return the distance between each row of `a` and the same row of `b`, in double precision."""
+    if metric is Metric.HAMMING:
+        differing: NDArray[np.uint8] = np.bitwise_xor(a, b)
+        return np.unpackbits(differing, axis=1).sum(axis=1).astype(np.float64)
     if metric is Metric.COSINE:
-        distance = distance**2 / 2  # |a - b|^2 = 2 (1 - cos) for unit rows
-    return _Neighbours(np.asarray(index, np.intp), distance)
+        a, b = _unit(a), _unit(b)
+    squared = np.square(a.astype(np.float64) - b).sum(axis=1)
+    return np.asarray(squared / 2 if metric is Metric.COSINE else np.sqrt(squared))
+
+
+def _rivals(likeness: Image, nearest: Indices, xy: Points | None, same_place_px: float) -> Indices:
+    """Return for each row its nearest column but `nearest`, and at another place if places are known; else -1."""
+    if not likeness.size:
+        return np.zeros(len(likeness), np.intp)
+    others = likeness.copy()
+    rival = nearest.copy()
+    same = np.arange(len(nearest))
+    # Few neighbours lie at the same place: crossing them out one by one is faster than comparing all places.
+    while len(same):
+        others[same, rival[same]] = -np.inf
+        rival[same] = others[same].argmax(axis=1)
+        exhausted = np.isneginf(others[same, rival[same]])
+        rival[same[exhausted]] = -1
+        same = same[~exhausted]
+        if xy is None:
+            break
+        apart = np.abs(xy[rival[same]] - xy[nearest[same]]).max(axis=1)
+        same = same[apart <= same_place_px]
+    return rival
+
+
+def _signs(bits: Image) -> Image:
+    return np.unpackbits(bits, axis=1).astype(np.float32) * 2 - 1
 
 
 def _unit(rows: Image) -> Image:
     length = np.linalg.norm(rows, axis=1, keepdims=True)
     return np.asarray(rows / np.where(length > 0, length, 1), np.float32)
-
-
-def _rival(neighbours: _Neighbours, xy: Points | None, same_place_px: float) -> Floats:
-    """Return the distance of the second nearest, at another place if places are known; inf where there is none."""
-    distance = neighbours.distance
-    if distance.shape[1] < 2:
-        return np.full(len(distance), np.inf)
-    if xy is None:
-        return distance[:, 1]
-    place = xy[neighbours.index]
-    elsewhere = np.hypot(*np.moveaxis(place[:, 1:] - place[:, :1], 2, 0)) > same_place_px
-    first = np.argmax(elsewhere, axis=1)
-    # All K neighbours at one place: the true rival is at least as far as the last of them.
-    first = np.where(elsewhere.any(axis=1), first, elsewhere.shape[1] - 1)
-    return np.asarray(distance[np.arange(len(distance)), first + 1], np.float64)

@@ -45,7 +45,8 @@ def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: Floats | None = None
     A[:, 1, 6:9] = u[:, None] * A[:, 0, 3:6]
     if weights is not None:
         A *= np.sqrt(weights)[:, None, None]
-    _, singular, vectors = np.linalg.svd(A.reshape(-1, 9), full_matrices=True)
+    # The triangular factor has the same singular values and right vectors, and at most nine rows.
+    _, singular, vectors = np.linalg.svd(np.linalg.qr(A.reshape(-1, 9), mode="r"), full_matrices=True)
     if singular[7] <= _RANK_TOLERANCE * singular[0]:
         raise DegenerateConfiguration(
             f"src, dst: the {len(src)} correspondences do not determine a homography; need four with no three collinear"
