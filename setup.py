@@ -5,22 +5,25 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-MANIFEST = ElementTree.parse(Path(__file__).resolve().parent / "package.xml").getroot()
+# colcon's --symlink-install runs a link to this file from another folder.
+HERE = Path(__file__).resolve().parent
+MANIFEST = ElementTree.parse(HERE / "package.xml").getroot()
 NAME = MANIFEST.findtext("name")
 
 
 def shared(folder: str) -> list[tuple[str, list[str]]]:
     """Return what setuptools calls data files: everything in `folder`, for share/imgu_ros/`folder`."""
-    files = sorted(str(path) for path in Path(folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
-    folders = sorted({str(Path(file).parent) for file in files})
-    return [(f"share/{NAME}/{parent}", [f for f in files if str(Path(f).parent) == parent]) for parent in folders]
+    paths = sorted(path.relative_to(HERE) for path in (HERE / folder).rglob("*") if path.is_file())
+    paths = [path for path in paths if "__pycache__" not in path.parts]
+    parents = sorted({path.parent for path in paths})
+    return [(f"share/{NAME}/{parent}", [str(path) for path in paths if path.parent == parent]) for parent in parents]
 
 
 setup(
     name=NAME,
     version=MANIFEST.findtext("version"),
     description=MANIFEST.findtext("description"),
-    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description=(HERE / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     maintainer=MANIFEST.findtext("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").get("email"),
