@@ -20,9 +20,7 @@ _OUT = Path("imgu_demo")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "--out", type=Path, default=_OUT, metavar="DIR", help="folder for it all (default: %(default)s)"
-    )
+    parser.add_argument("--out", type=Path, default=_OUT, metavar="DIR", help="folder (default: %(default)s)")
     parser.add_argument("--frames", type=int, default=60, metavar="N", help="frames to simulate (default: %(default)s)")
     add_parameter_options(parser)
 
@@ -43,11 +41,14 @@ def run(arguments: argparse.Namespace) -> int:
     _claim(arguments.out)
     bag, results = arguments.out / "bag", arguments.out / "replay"
     simulation = Simulation(frames=arguments.frames)
-    print(f"simulating {simulation.frames} frames of {simulation.width} x {simulation.height}, Bayer, into {bag}")
+    print(
+        f"simulating {simulation.frames} frames of {simulation.width} x {simulation.height}, Bayer, into {bag}",
+        flush=True,
+    )
     with Progress("simulate") as progress:
         record_simulation(bag, simulation, overwrite=True, on_progress=progress)
     parameters = parameters_of(arguments, read_parameter_file(bag / PARAMETER_FILE))
-    print(f"replaying it into {results}")
+    print(f"replaying it into {results}", flush=True)
     with Progress("replay") as progress:
         summary = replay(
             [bag],

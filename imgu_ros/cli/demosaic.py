@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.params import declaration
 
 if TYPE_CHECKING:
     from imgu_ros.types import Image
@@ -20,6 +19,8 @@ _NUMPY_DTYPES = {"uint8": "u1", "uint16": "<u2", "uint16le": "<u2", "uint16be": 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
+    from imgu_ros.params import declaration
+
     method = declaration("demosaic.method")
     parser.add_argument(
         "input", type=Path, metavar="IN", help="raw image: PGM, PNG or TIFF, 8 or 16 bit; or headerless"
@@ -86,8 +87,7 @@ def _read_headerless(arguments: argparse.Namespace) -> Image:
         pixels = np.fromfile(arguments.input, dtype)
     except OSError as error:
         raise FileError(f"{arguments.input}: {error.strerror}; need a file that can be read") from None
-    raw: Image = pixels.reshape(height, width).astype(dtype.newbyteorder("="))
-    return raw
+    return np.asarray(pixels.reshape(height, width).astype(dtype.newbyteorder("=")))
 
 
 def _check_levels(arguments: argparse.Namespace) -> None:

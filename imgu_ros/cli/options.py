@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from imgu_ros.params import Parameters, parameters_from
+if TYPE_CHECKING:
+    from imgu_ros.params import Parameters
 
 _GROUP = "parameters (see `imgu params`)"
 
@@ -40,6 +42,7 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
         If a parameter file cannot be read.
     """
     from imgu_ros.files.parameter_files import parse_override, read_parameter_file
+    from imgu_ros.params import parameters_from
 
     values: dict[str, object] = dict(extra or {})
     for kind, text in arguments.overrides or ():

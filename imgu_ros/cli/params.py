@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import textwrap
+from typing import TYPE_CHECKING
 
-from imgu_ros.params import Declaration, declarations
+if TYPE_CHECKING:
+    from imgu_ros.params import Declaration
 
 HELP = "list every parameter, or print a ready parameter file"
 
@@ -23,11 +25,11 @@ def run(arguments: argparse.Namespace) -> int:
 
         print(parameter_file_text(), end="")
         return 0
+    from imgu_ros.params import declaration, declarations
+
     chosen = [known for known in declarations() if _is_asked_for(known.name, arguments.names)]
     for asked in arguments.names:
         if not any(_is_asked_for(known.name, [asked]) for known in chosen):
-            from imgu_ros.params import declaration
-
             declaration(asked)  # raises, and names the nearest known one
     for known in chosen:
         print(described(known))
