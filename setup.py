@@ -28,7 +28,6 @@ setup(
     maintainer=MANIFEST.findtext("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").get("email"),
     license="Apache-2.0",
-    license_files=["LICENSE"],
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={"": ["py.typed", "*.xml", "templates/*"]},
