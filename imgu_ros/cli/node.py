@@ -1,0 +1,110 @@
+"""Run a live ROS 2 node. `perception` is the whole chain, from image to pose, in one process.
+
+Everything after the name is for the node: `-p NAME:=VALUE` and `--params-file FILE`, `-r FROM:=TO` to remap, with or
+without `--ros-args` before them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import sys
+
+from imgu_ros.errors import ParameterError
+
+HELP = "run a live node"
+
+#: Every node and the module that runs it: `run(ros_arguments, stop) -> int`.
+NODES = {"perception": "imgu_ros.ros.perception"}
+
+#: Nodes of the interfaces that this version does not have yet.
+PLANNED = ("demosaic", "pyramid", "features", "matcher", "homography", "pose")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.usage = "imgu node NAME [-p NAME:=VALUE] [--params-file FILE] [--ros-args ...]"
+    parser.add_argument(
+        "--print-dds-profile", action="store_true", help="print the path of the DDS profile for large images"
+    )
+    parser.add_argument("name", nargs="?", metavar="NAME", help=f"the node: {', '.join(NODES)}")
+    parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the node until SIGINT or SIGTERM; both end it with exit code 0."""
+    if arguments.print_dds_profile:
+        from imgu_ros.ros.middleware import profile_path
+
+        print(profile_path())
+        return 0
+    if arguments.name is None:
+        print("imgu: error: no node given; need one of " + ", ".join(NODES), file=sys.stderr)
+        return 2
+    if arguments.name not in NODES:
+        print(f"imgu: error: {_unknown(arguments.name)}", file=sys.stderr)
+        return 2
+    if "-h" in arguments.rest or "--help" in arguments.rest:
+        print(
+            f"usage: imgu node {arguments.name} [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] [--ros-args ...]\n"
+        )
+        print("`imgu params` lists the parameters.")
+        return 0
+    try:
+        ros_arguments = ros_arguments_of(arguments.rest)
+    except ParameterError as error:
+        print(f"imgu: error: {error}", file=sys.stderr)
+        return 2
+
+    from imgu_ros.ros.stopping import Stopped, StopSignal
+
+    with StopSignal() as stop:
+        try:
+            with stop.interruptible():
+                module = importlib.import_module(NODES[arguments.name])
+            return int(module.run(ros_arguments, stop))
+        except Stopped:
+            return 0
+
+
+def ros_arguments_of(rest: list[str]) -> list[str]:
+    """Return a node's arguments as ROS wants them, `--ros-args` first.
+
+    Parameters
+    ----------
+    rest : `-p`, `--param`, `--params-file`, `-r`, `--remap` with their values and `--log-level`, before `--ros-args`
+        or after it
+
+    Raises
+    ------
+    ParameterError
+        If there is an argument that is none of ROS's.
+    """
+    direct: list[str] = []
+    position = 0
+    while position < len(rest) and rest[position] != "--ros-args":
+        option, equals, value = rest[position].partition("=")
+        if option not in _ROS_OPTIONS:
+            raise ParameterError(
+                f"{rest[position]}: unknown argument; need -p NAME:=VALUE, --params-file FILE or --ros-args ..."
+            )
+        if equals and option.startswith("--"):
+            position += 1
+        elif position + 1 < len(rest):
+            value = rest[position + 1]
+            position += 2
+        else:
+            raise ParameterError(f"{option}: no value; need one after it")
+        direct += [option, value]
+    return ["--ros-args", *direct, *rest[position + 1 :]] if direct else rest[position:]
+
+
+_ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "--log-level")
+
+
+def _unknown(name: str) -> str:
+    if name in PLANNED:
+        return f"node {name!r} is not available in this version; need one of {', '.join(NODES)}"
+    near = difflib.get_close_matches(name, NODES, n=1)
+    return f"{name!r} is no node{f' (did you mean {near[0]}?)' if near else ''}; need one of {', '.join(NODES)}"

@@ -1,0 +1,78 @@
+"""Publish a recorded bag on live topics, with the bag's timing and /clock.
+
+Headers are left as they were recorded. ROS arguments (remaps, QoS overrides) follow `--ros-args`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+HELP = "publish a bag on live topics"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.usage = "imgu play BAG... [options] [--ros-args ...]"
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="a bag: its folder, or its files")
+    parser.add_argument("--rate", type=_positive, default=1.0, metavar="R", help="times the recorded speed (default 1)")
+    parser.add_argument("--loop", action="store_true", help="start over at the end, until Ctrl-C")
+    parser.add_argument("--start", type=_not_negative, default=0.0, metavar="S", help="leave out the first S seconds")
+    parser.add_argument("--duration", type=_positive, metavar="S", help="play S seconds of the recording")
+    parser.add_argument(
+        "--wait-for", type=_count, default=0, metavar="N",
+        help="start when the image topics have N subscribers in all (default 0: start after at most a second)",
+    )  # fmt: skip
+    parser.add_argument("--timeout", type=_positive, metavar="S", help="give up waiting after S seconds")
+    parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], help="ROS 2 arguments: -r FROM:=TO, ...")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Play the bag and say what was published."""
+    from imgu_ros.ros.stopping import Stopped, StopSignal
+
+    with StopSignal() as stop:
+        try:
+            with stop.interruptible():
+                from imgu_ros.ros.player import PlayOptions, play
+            options = PlayOptions(
+                rate=arguments.rate,
+                loop=arguments.loop,
+                start_s=arguments.start,
+                duration_s=arguments.duration,
+                wait_for=arguments.wait_for,
+                timeout_s=arguments.timeout,
+            )
+            ros_arguments = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
+            report = play(arguments.bags, options, ros_arguments, stop, _say)
+        except Stopped:
+            return 0
+    for line in report.lines():
+        print(line)
+    return 0
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _positive(text: str) -> float:
+    value = _not_negative(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"{text}: need more than 0")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text}: need 0 or more")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: need 0 or more")
+    return value

@@ -1,0 +1,192 @@
+"""Image input of a node: subscriptions, pairing with camera_info, and why nothing comes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from imgu_ros.codec.header import decode_header
+from imgu_ros.codec.image import data_bytes
+from imgu_ros.codec.pairing import Pair, Pairing
+from imgu_ros.ros.messages import message_class
+from imgu_ros.ros.meters import RateMeter
+from imgu_ros.ros.middleware import large_message_warnings
+from imgu_ros.ros.newest import NewestSlot
+from imgu_ros.ros.qos import QosCounters, camera_info_qos, image_qos, overridable, override_names
+
+#: An image whose camera_info has not come by then goes without.
+_PATIENCE_S = 0.3
+#: Without images for this long, something is wrong.
+_SILENCE_S = 5.0
+
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+_IMAGE_TYPES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/CompressedImage"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """An image message, its camera_info message or None, and when the image came (monotonic seconds)."""
+
+    image: Any
+    camera_info: Any | None
+    received_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class InputTopics:
+    """Resolved topic names and the image's type."""
+
+    image: str
+    camera_info: str
+    image_type: str
+
+
+class ImageInput:
+    """Subscribes while it is open and puts the newest image with its camera_info into a slot.
+
+    All methods are for the executor's thread; the worker reads `slot`.
+
+    Parameters
+    ----------
+    node : creates the subscriptions
+    transport : "raw" or "compressed"
+
+    Attributes
+    ----------
+    slot : where the worker takes from
+    arrivals : images delivered
+    counters : lost messages and incompatible QoS
+    topics : what is subscribed
+    """
+
+    def __init__(self, node: Node, transport: str) -> None:
+        self.slot: NewestSlot[Job] = NewestSlot()
+        self.arrivals = RateMeter()
+        self.counters = QosCounters()
+        self.topics = input_topics(node, transport)
+        self._node = node
+        self._pairing: Pairing[Job, Any] = Pairing()
+        self._unmatched_before = 0
+        self._image: Subscription | None = None
+        self._camera_info: Subscription | None = None
+        self._opened_s = 0.0
+        self._last_s = 0.0
+        self._warned_of_size = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the topics are subscribed."""
+        return self._image is not None
+
+    @property
+    def looks_rectified(self) -> bool:
+        """Whether the image topic's name says that its images are rectified."""
+        return any("rect" in part for part in self.topics.image.split("/")[-2:])
+
+    @property
+    def unmatched(self) -> int:
+        """Images that left without a camera_info of their own stamp."""
+        return self._unmatched_before + self._pairing.unmatched
+
+    def qos_override_names(self) -> list[str]:
+        """Return the parameters that override the QoS of the inputs."""
+        names = override_names(self.topics.image, "subscription")
+        return names + override_names(self.topics.camera_info, "subscription")
+
+    def open(self) -> None:
+        """Subscribe."""
+        if self._image is not None:
+            return
+        self._unmatched_before += self._pairing.unmatched
+        self._pairing = Pairing()
+        self._opened_s = time.monotonic()
+        # The small topic first: its subscription should be ready when the first image comes.
+        self._camera_info = self._node.create_subscription(
+            message_class(CAMERA_INFO_TYPE),
+            self.topics.camera_info,
+            self._on_camera_info,
+            camera_info_qos(),
+            event_callbacks=QosCounters().subscription_callbacks(),
+            qos_overriding_options=overridable(),
+        )
+        self._image = self._node.create_subscription(
+            message_class(self.topics.image_type),
+            self.topics.image,
+            self._on_image,
+            image_qos(),
+            event_callbacks=self.counters.subscription_callbacks(),
+            qos_overriding_options=overridable(),
+        )
+
+    def close(self) -> None:
+        """Drop the subscriptions and what waits."""
+        for subscription in (self._image, self._camera_info):
+            if subscription is not None:
+                self._node.destroy_subscription(subscription)
+        self._image = self._camera_info = None
+        self.slot.clear()
+
+    def check_waiting(self) -> None:
+        """Let an image go that has waited too long for its camera_info; to be called a few times a second."""
+        if self._image is not None and time.monotonic() - self._last_s > _PATIENCE_S:
+            self._hand_over(self._pairing.flush())
+
+    def why_silent(self) -> str:
+        """Return why no image comes; empty when images come or may still do."""
+        if self._image is None:
+            return ""
+        now = time.monotonic()
+        silent_s = now - max(self._opened_s, self._last_s)
+        if silent_s < 1.0:
+            return ""
+        topic = self.topics.image
+        offered = self._node.get_publishers_info_by_topic(topic)
+        if not offered:
+            return f"no publisher on {topic}"
+        types = {endpoint.topic_type for endpoint in offered}
+        if self.topics.image_type not in types:
+            return f"only {', '.join(sorted(types))} on {topic}; need {self.topics.image_type}"
+        if self._image.get_publisher_count() == 0 and self.counters.incompatible:
+            return f"only publishers with incompatible QoS on {topic} ({', '.join(self.counters.policies)})"
+        return f"no images on {topic} for {silent_s:.0f} s" if silent_s >= _SILENCE_S else ""
+
+    def _on_image(self, message: Any) -> None:
+        now = time.monotonic()
+        self._last_s = now
+        self.arrivals.tick(now)
+        if not self._warned_of_size:
+            self._warned_of_size = True
+            for warning in large_message_warnings(len(data_bytes(message))):
+                self._node.get_logger().warning(warning)
+        stamp_ns = decode_header(message).stamp_ns
+        self._hand_over(self._pairing.add_image(stamp_ns, Job(message, None, now)))
+
+    def _on_camera_info(self, message: Any) -> None:
+        self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
+
+    def _hand_over(self, pairs: list[Pair[Job, Any]]) -> None:
+        for pair in pairs:
+            self.slot.put(Job(pair.image.image, pair.camera_info, pair.image.received_s))
+
+
+def input_topics(node: Node, transport: str) -> InputTopics:
+    """Return the topics to subscribe, after remapping.
+
+    camera_info is taken from beside the image topic (`/cam/image_raw` -> `/cam/camera_info`) unless it is remapped
+    itself. With compressed transport the image topic's name is that of the raw one with `/compressed`, as in
+    image_transport, unless that is remapped itself.
+    """
+    base = node.resolve_topic_name("image_raw")
+    image = base
+    if transport == "compressed":
+        own = node.resolve_topic_name("image_raw/compressed")
+        unmapped = node.resolve_topic_name("image_raw/compressed", only_expand=True)
+        image = own if own != unmapped else f"{base}/compressed"
+    camera_info = node.resolve_topic_name("camera_info")
+    if camera_info == node.resolve_topic_name("camera_info", only_expand=True):
+        camera_info = base.rpartition("/")[0] + "/camera_info"
+    return InputTopics(image, camera_info, _IMAGE_TYPES[transport])

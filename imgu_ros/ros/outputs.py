@@ -1,0 +1,187 @@
+"""Output topics of a node: a publisher for each, and nothing made for those that nobody listens to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from imgu_ros.codec.compressed_image import compressed_image_message
+from imgu_ros.codec.geometry import PathHistory
+from imgu_ros.codec.results import (
+    FRAME_OUTPUTS,
+    TARGET_OUTPUTS,
+    MapFrame,
+    level_message,
+    picture_message,
+    result_header,
+    result_tf_message,
+)
+from imgu_ros.codec.transform import transforms_from_numbers
+from imgu_ros.errors import ParameterError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.result import Result, TargetResult
+from imgu_ros.report.overlay import draw_result
+from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.qos import QosCounters, output_qos, overridable, override_names
+
+_IMAGE = "sensor_msgs/msg/Image"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_TF = "tf2_msgs/msg/TFMessage"
+_PATH = "nav_msgs/msg/Path"
+#: A queue of large pictures only makes slow subscribers slower.
+_IMAGE_DEPTH = 2
+
+
+class Outputs:
+    """The publishers of a node, its topics relative to the node's namespace.
+
+    Made and destroyed in the executor's thread, published to from the worker's, never at the same time.
+
+    Parameters
+    ----------
+    node : creates the publishers
+    target_names : in the order of `targets.images`
+    parameters : `pyramid.levels`, `publish_tf`, `frames`, `tf`, `path` and `targets.poses` are used
+    counters : counts subscribers with incompatible QoS
+
+    Raises
+    ------
+    ImguError
+        If `publish_tf` is set and tf2_msgs is not installed, or `targets.poses` holds no poses.
+    """
+
+    def __init__(self, node: Node, target_names: Sequence[str], parameters: Parameters, counters: QosCounters) -> None:
+        if parameters.publish_tf and parameters.tf.root_frame:
+            raise ParameterError(
+                f"tf.root_frame: {parameters.tf.root_frame!r} is not available in this version; "
+                "need '' (the camera's frame)"
+            )
+        self._node = node
+        self._counters = counters
+        self._parameters = parameters
+        self._serves = _served(target_names, parameters)
+        self._publishers: dict[str, Publisher] = {}
+        self._paths = {
+            name: PathHistory(make_message, parameters.frames.target_prefix + name, parameters.path.max_length)
+            for name in target_names
+        }
+        self._map = _map_frame(parameters)
+        self._always = parameters.publish_tf
+        try:
+            self._create(target_names)
+        except BaseException:
+            self.destroy()
+            raise
+
+    def serves(self, target_names: Sequence[str], parameters: Parameters) -> bool:
+        """Return whether these publishers are the ones for other parameters too."""
+        return self._serves == _served(target_names, parameters)
+
+    def wanted(self) -> bool:
+        """Return whether anybody listens to any output; `publish_tf` counts as a listener."""
+        return self._always or any(self._listened(topic) for topic in self._publishers)
+
+    def publish(self, result: Result) -> None:
+        """Publish what a frame has for each topic that somebody listens to."""
+        for topic, output in FRAME_OUTPUTS.items():
+            self._publish(topic, partial(output.message, make_message, result))
+        for level in range(self._parameters.pyramid.levels):
+            self._publish(f"pyramid/level_{level}", partial(level_message, make_message, result, level))
+        self._publish_debug_image(result)
+        for position, target in enumerate(result.targets):
+            self._publish_target(result, target, [f"targets/{target.name}/"] + ([""] if position == 0 else []))
+        if self._always:
+            message = result_tf_message(make_message, result, self._parameters.frames.target_prefix, self._map)
+            self._send("/tf", message)
+
+    def publish_rejected(self, result: Result) -> None:
+        """Publish what is to be said about a frame that could not be read: its status."""
+        self._publish("status", partial(FRAME_OUTPUTS["status"].message, make_message, result))
+
+    def qos_override_names(self) -> list[str]:
+        """Return the parameters that override the QoS of the outputs."""
+        topics = [self._node.resolve_topic_name(topic) for topic in self._publishers]
+        return [name for topic in topics for name in override_names(topic, "publisher")]
+
+    def destroy(self) -> None:
+        """Destroy the publishers."""
+        for publisher in self._publishers.values():
+            self._node.destroy_publisher(publisher)
+        self._publishers.clear()
+
+    def _create(self, target_names: Sequence[str]) -> None:
+        for topic, frame_output in FRAME_OUTPUTS.items():
+            self._add(topic, frame_output.type_name)
+        for level in range(self._parameters.pyramid.levels):
+            self._add(f"pyramid/level_{level}", _IMAGE)
+        self._add("debug_image", _IMAGE)
+        self._add("debug_image/compressed", _COMPRESSED)
+        for prefix in ["", *(f"targets/{name}/" for name in target_names)]:
+            for topic, target_output in TARGET_OUTPUTS.items():
+                self._add(prefix + topic, target_output.type_name)
+            self._add(prefix + "path", _PATH)
+        if self._always:
+            self._add("/tf", _TF, depth=100)
+
+    def _add(self, topic: str, type_name: str, depth: int | None = None) -> None:
+        depth = depth or (_IMAGE_DEPTH if type_name in (_IMAGE, _COMPRESSED) else 10)
+        self._publishers[topic] = self._node.create_publisher(
+            message_class(type_name),
+            topic,
+            output_qos(depth),
+            event_callbacks=self._counters.publisher_callbacks(),
+            qos_overriding_options=overridable(),
+        )
+
+    def _listened(self, topic: str) -> bool:
+        publisher = self._publishers.get(topic)
+        return publisher is not None and publisher.get_subscription_count() > 0
+
+    def _publish(self, topic: str, make: Callable[[], Any]) -> None:
+        if self._listened(topic):
+            self._send(topic, make())
+
+    def _send(self, topic: str, message: Any) -> None:
+        if message is not None:
+            self._publishers[topic].publish(message)
+
+    def _publish_debug_image(self, result: Result) -> None:
+        topics = [topic for topic in ("debug_image", "debug_image/compressed") if self._listened(topic)]
+        if not topics:
+            return
+        picture = draw_result(result)
+        if "debug_image" in topics:
+            self._send("debug_image", picture_message(make_message, result, picture))
+        if "debug_image/compressed" in topics:
+            message = compressed_image_message(make_message, result_header(result), picture, "rgb8")
+            self._send("debug_image/compressed", message)
+
+    def _publish_target(self, result: Result, target: TargetResult, prefixes: Sequence[str]) -> None:
+        frame = self._parameters.frames.target_prefix + target.name
+        for topic, output in TARGET_OUTPUTS.items():
+            listened = [prefix + topic for prefix in prefixes if self._listened(prefix + topic)]
+            message = output.message(make_message, result, target, frame) if listened else None
+            for name in listened:
+                self._send(name, message)
+        listened = [prefix + "path" for prefix in prefixes if self._listened(prefix + "path")]
+        if listened and target.pose is not None:
+            path = self._paths[target.name].add(result.frame.stamp_ns, target.pose)
+            for name in listened:
+                self._send(name, path)
+
+
+def _served(names: Sequence[str], parameters: Parameters) -> tuple[object, ...]:
+    """Everything that the publishers depend on."""
+    p = parameters
+    return (tuple(names), p.pyramid.levels, p.publish_tf, p.frames, p.tf, p.path, p.targets.poses)
+
+
+def _map_frame(parameters: Parameters) -> MapFrame | None:
+    if not parameters.targets.poses:
+        return None
+    poses = transforms_from_numbers(parameters.targets.poses, "targets.poses")
+    return MapFrame(parameters.frames.map, poses, parameters.tf.root_frame)

@@ -1,0 +1,226 @@
+"""The declared parameters on a ROS node: described, checked as one, and never silently ignored.
+
+rclpy by itself ignores an override whose name nobody declares, and its parameter services check one value at a
+time. Here an unknown name is refused with the nearest known one, and a set is checked together with the values
+that stay.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from imgu_ros.errors import ParameterError
+from imgu_ros.params import (
+    Declaration,
+    Parameters,
+    ParameterValue,
+    checked_value,
+    declaration,
+    declarations,
+    parameters_from,
+)
+
+#: Values of this group wait for `ParameterServer.reload`.
+STAGED = "targets."
+#: Names that rclpy reads by itself.
+FOREIGN = ("use_sim_time", "start_type_description_service")
+QOS_PREFIX = "qos_overrides."
+
+_TYPES = {
+    "bool": Parameter.Type.BOOL,
+    "integer": Parameter.Type.INTEGER,
+    "double": Parameter.Type.DOUBLE,
+    "string": Parameter.Type.STRING,
+    "string_array": Parameter.Type.STRING_ARRAY,
+    "double_array": Parameter.Type.DOUBLE_ARRAY,
+    "integer_array": Parameter.Type.INTEGER_ARRAY,
+}
+_INT64 = 2**63 - 1
+_TOGETHER = "; set values that depend on each other in one call of set_parameters_atomically"
+
+
+class ParameterServer:
+    """Declares every parameter on a node and keeps the checked `Parameters`.
+
+    The node routes its `set_parameters_atomically` through `set_atomically`: the parameter services then answer with
+    the reason of every refusal. Reading is safe from any thread.
+
+    Parameters
+    ----------
+    node : the node; its overrides (command line, parameter files, launch) are the initial values
+
+    Raises
+    ------
+    ParameterError
+        If an override is unknown, has the wrong type, or lies outside its range.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._lock = threading.Lock()
+        # No public call of rclpy gives the overrides that nobody has declared.
+        overrides = node._parameter_overrides
+        self._qos_overrides = [name for name in overrides if name.startswith(QOS_PREFIX)]
+        given = {
+            name: _given_value(name, override.value)
+            for name, override in overrides.items()
+            if name not in FOREIGN and not name.startswith(QOS_PREFIX)
+        }
+        self._live = parameters_from(given)
+        self._values = {d.name: d.default for d in declarations()}
+        self._values.update({name: checked_value(name, value) for name, value in given.items()})
+        _declare(node, self._values)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._commit)
+
+    @property
+    def parameters(self) -> Parameters:
+        """The values in force: a new object after every change. `targets` are those of the last `reload`."""
+        with self._lock:
+            return self._live
+
+    def reload(self) -> Parameters:
+        """Put the values of `targets` that were set since the start in force and return all.
+
+        Raises
+        ------
+        ParameterError
+            If they do not fit together; then the old ones stay.
+        """
+        with self._lock:
+            self._live = parameters_from(self._values)
+            return self._live
+
+    def set_atomically(
+        self, parameters: Sequence[Parameter], set_declared: Callable[[list[Parameter]], SetParametersResult]
+    ) -> SetParametersResult:
+        """Set parameters together, or none of them and say why.
+
+        Parameters
+        ----------
+        parameters : as a service or a caller gave them; an integer serves as a double, `[]` as any list
+        set_declared : the node's own `set_parameters_atomically`
+        """
+        try:
+            converted = [self._converted(parameter) for parameter in parameters]
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return set_declared(converted)
+
+    def check_qos_overrides(self, possible: Mapping[str, object]) -> None:
+        """Refuse QoS overrides for topics or policies that the node does not have.
+
+        Parameters
+        ----------
+        possible : by full parameter name
+
+        Raises
+        ------
+        ParameterError
+            With the names that are possible for the nearest topic.
+        """
+        import difflib
+
+        for name in self._qos_overrides:
+            if name not in possible:
+                nearest = difflib.get_close_matches(name, possible, n=1, cutoff=0.0)
+                raise ParameterError(f"{name}: unknown parameter; nearest known: {nearest[0] if nearest else 'none'}")
+
+    def _converted(self, parameter: Parameter) -> Parameter:
+        if parameter.name in FOREIGN or parameter.name.startswith(QOS_PREFIX):
+            return parameter
+        return ros_parameter(
+            parameter.name, checked_value(parameter.name, _given_value(parameter.name, parameter.value))
+        )
+
+    def _check(self, changed: list[Parameter]) -> SetParametersResult:
+        given = {p.name: p.value for p in changed if p.name in self._values}
+        try:
+            new = self._values | {name: checked_value(name, value) for name, value in given.items()}
+            _, staged = _split(given)
+            live, _ = _split(new)
+            _together(lambda: parameters_from(live), given)
+            # Staged values may come one by one; those that come in one call are meant to fit.
+            if len(staged) > 1:
+                parameters_from(new)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _commit(self, changed: list[Parameter]) -> None:
+        given = {p.name: p.value for p in changed if p.name in self._values}
+        with self._lock:
+            self._values.update({name: checked_value(name, value) for name, value in given.items()})
+            live, _ = _split(self._values)
+            if any(not name.startswith(STAGED) for name in given):
+                self._live = replace(parameters_from(live), targets=self._live.targets)
+
+
+def descriptor(known: Declaration) -> ParameterDescriptor:
+    """Return the ROS description of a declared parameter."""
+    unit = f" [{known.unit}]" if known.unit else ""
+    made = ParameterDescriptor(name=known.name, description=known.description + unit, read_only=known.read_only)
+    made.type = _TYPES[known.type_name].value
+    constraints = []
+    if known.choices:
+        constraints.append("one of: " + ", ".join(known.choices))
+    if known.minimum is not None or known.maximum is not None:
+        low = float("-inf") if known.minimum is None else known.minimum
+        high = float("inf") if known.maximum is None else known.maximum
+        if known.type_name == "double":
+            made.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)]
+        elif known.type_name == "integer":
+            ends = (max(low, -_INT64), min(high, _INT64))
+            made.integer_range = [IntegerRange(from_value=int(ends[0]), to_value=int(ends[1]), step=0)]
+        else:  # ROS has no range for the elements of a list
+            constraints.append(f"each {low:.10g} to {high:.10g}")
+    if known.name.startswith(STAGED):
+        constraints.append("takes effect on ~/reload")
+    made.additional_constraints = "; ".join(constraints)
+    return made
+
+
+def ros_parameter(name: str, value: ParameterValue) -> Parameter:
+    """Return a declared parameter's value as rclpy's, typed as declared even when it is an empty list."""
+    return Parameter(name, _TYPES[declaration(name).type_name], list(value) if isinstance(value, tuple) else value)
+
+
+def _declare(node: Node, values: Mapping[str, ParameterValue]) -> None:
+    empty = []
+    for known in declarations():
+        value: Any = values[known.name]
+        if value == ():
+            # rclpy takes an empty list for one of bytes: declare the type, then set the typed empty list.
+            empty.append(ros_parameter(known.name, value))
+            value = _TYPES[known.type_name]
+        elif isinstance(value, tuple):
+            value = list(value)
+        node.declare_parameters("", [(known.name, value, descriptor(known))], ignore_override=True)
+    Node.set_parameters_atomically(node, empty)
+
+
+def _given_value(name: str, value: Any) -> Any:
+    # `[]` comes as no value at all from ROS's YAML parser.
+    if value is None and declaration(name).type_name.endswith("_array"):
+        return ()
+    return value
+
+
+def _split(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    live = {name: value for name, value in values.items() if not name.startswith(STAGED)}
+    staged = {name: value for name, value in values.items() if name.startswith(STAGED)}
+    return live, staged
+
+
+def _together(check: Callable[[], object], given: Mapping[str, object]) -> None:
+    try:
+        check()
+    except ParameterError as error:
+        hint = _TOGETHER if len(given) == 1 else ""
+        raise ParameterError(f"{error}{hint}") from None

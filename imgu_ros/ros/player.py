@@ -1,0 +1,305 @@
+"""Publishes a recorded bag on live topics, with its timing."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+
+from imgu_ros.bags.reading import Bag, open_bag
+from imgu_ros.bags.storage import RawMessage
+from imgu_ros.codec.clock import clock_message
+from imgu_ros.errors import BagError, ImguError
+from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.prefetch import Prefetch
+from imgu_ros.ros.process import init_ros
+from imgu_ros.ros.qos import latched_qos, output_qos, overridable
+from imgu_ros.ros.stopping import Stopped, StopSignal
+
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
+
+_POLL_S = 0.02
+_REMIND_S = 5.0
+_CLOCK_PERIOD_S = 0.025
+#: A matched writer may still be unknown to the reader, which then drops what comes.
+_SETTLE_S = 0.3
+_DISCOVERY_S = 1.0
+_ACKNOWLEDGE_S = 2.0
+_LINGER_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PlayOptions:
+    """How to play.
+
+    Attributes
+    ----------
+    rate : times the recorded speed, > 0
+    loop : start over at the end, until stopped
+    start_s : seconds to leave out at the beginning
+    duration_s : seconds of the recording to play; None: to the end
+    wait_for : subscribers, over all image topics, to wait for; 0: start after at most a second
+    timeout_s : longest wait for them; None: no bound
+    """
+
+    rate: float = 1.0
+    loop: bool = False
+    start_s: float = 0.0
+    duration_s: float | None = None
+    wait_for: int = 0
+    timeout_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlayReport:
+    """What was played.
+
+    Attributes
+    ----------
+    published : messages by topic
+    skipped_topics : topics whose message type is not installed
+    recorded_s, took_s : time between first and last message: as recorded, and as published
+    late_p99_ms, late_max_ms : how much later than due messages were handed to the middleware
+    """
+
+    published: Mapping[str, int]
+    skipped_topics: tuple[str, ...]
+    recorded_s: float
+    took_s: float
+    late_p99_ms: float
+    late_max_ms: float
+
+    @property
+    def kept_rate(self) -> float:
+        """Times the recorded speed that was reached; 0 when fewer than two messages were published."""
+        return self.recorded_s / self.took_s if self.took_s > 0 else 0.0
+
+    def lines(self) -> list[str]:
+        """Return the report for people."""
+        counts = ", ".join(f"{topic} {count}" for topic, count in self.published.items())
+        speed = f"{self.recorded_s:.2f} s of the recording in {self.took_s:.2f} s: {self.kept_rate:.2f} x"
+        late = f"late by {self.late_p99_ms:.1f} ms (p99), {self.late_max_ms:.1f} ms (most)"
+        return [f"published {sum(self.published.values())} messages ({counts})", f"{speed}; {late}"]
+
+
+def play(
+    paths: Sequence[Path],
+    options: PlayOptions,
+    ros_arguments: Sequence[str],
+    stop: StopSignal,
+    say: Callable[[str], None],
+) -> PlayReport:
+    """Publish the messages of a bag with the bag's timing, headers untouched, and `/clock` beside them.
+
+    Parameters
+    ----------
+    paths : one bag, or the files of one
+    ros_arguments : `--ros-args ...`, for remaps and QoS overrides
+    stop : entered already
+    say : takes lines for people
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read or has nothing to publish.
+    ParameterError
+        If the ROS arguments cannot be parsed.
+    """
+    with stop.interruptible():
+        init_ros(ros_arguments)
+    try:
+        with open_bag(paths) as bag:
+            player = _Player(bag, options, stop, say)
+            try:
+                return player.run()
+            finally:
+                player.close()
+    finally:
+        rclpy.try_shutdown()
+
+
+class _Player:
+    def __init__(self, bag: Bag, options: PlayOptions, stop: StopSignal, say: Callable[[str], None]) -> None:
+        self._bag = bag
+        self._options = options
+        self._stop = stop
+        self._say = say
+        self._node = Node("player", start_parameter_services=False, enable_rosout=False)
+        self._types = {topic.name: topic.type_name for topic in bag.topics if topic.count != 0}
+        self._publishers: dict[str, Publisher] = {}
+        self._skipped: list[str] = []
+        self._published: dict[str, int] = {}
+        self._late_s: deque[float] = deque(maxlen=100_000)
+        self._span = _Span()
+        self._clock = self._node.create_publisher(Clock, "/clock", output_qos(1))
+        self._clock_due = 0.0
+
+    def run(self) -> PlayReport:
+        self._create_publishers()
+        with contextlib.suppress(Stopped):
+            self._wait_for_subscribers()
+            self._publish_all()
+        self._finish()
+        late = np.percentile(self._late_s, (99, 100)) * 1e3 if self._late_s else (0.0, 0.0)
+        return PlayReport(
+            published=self._published,
+            skipped_topics=tuple(self._skipped),
+            recorded_s=self._span.recorded_s,
+            took_s=self._span.took_s,
+            late_p99_ms=float(late[0]),
+            late_max_ms=float(late[1]),
+        )
+
+    def close(self) -> None:
+        self._node.destroy_node()
+
+    def _create_publishers(self) -> None:
+        for topic, type_name in self._types.items():
+            kind = self._class_of(topic, type_name)
+            if kind is not None:
+                self._publishers[topic] = self._node.create_publisher(
+                    kind, topic, _qos(topic), qos_overriding_options=overridable()
+                )
+                self._published[topic] = 0
+        if not self._publishers:
+            raise BagError("bag: no topic can be published; need messages whose types are installed")
+
+    def _class_of(self, topic: str, type_name: str) -> Any:
+        if topic == "/clock":
+            self._skip(topic, "the player publishes its own")
+            return None
+        try:
+            return message_class(type_name)
+        except ImguError:
+            self._skip(topic, f"{type_name} is not installed")
+            return None
+
+    def _skip(self, topic: str, reason: str) -> None:
+        self._skipped.append(topic)
+        self._say(f"skipping {topic}: {reason}")
+
+    def _wait_for_subscribers(self) -> None:
+        images = [t for t in self._publishers if self._types[t] in IMAGE_TYPES] or list(self._publishers)
+        wanted = self._options.wait_for
+        started = time.monotonic()
+        bound = _DISCOVERY_S if wanted == 0 else self._options.timeout_s
+        remind = started + _REMIND_S
+        while self._matched(images) < max(wanted, 1):
+            now = time.monotonic()
+            if bound is not None and now - started >= bound:
+                if wanted:
+                    raise BagError(
+                        f"subscribers on {', '.join(images)}: {self._matched(images)} after {bound:g} s; need {wanted}"
+                    )
+                return
+            if wanted and now >= remind:
+                self._say(f"waiting for subscribers on {', '.join(images)}: {self._matched(images)} of {wanted}")
+                remind = now + _REMIND_S
+            self._sleep(_POLL_S)
+        # Who subscribes to images mostly wants their camera_info from the first one on.
+        infos = [t for t in self._publishers if self._types[t] == CAMERA_INFO_TYPE]
+        until = time.monotonic() + _DISCOVERY_S
+        while infos and not self._matched(infos) and time.monotonic() < until:
+            self._sleep(_POLL_S)
+        self._sleep(_SETTLE_S)
+
+    def _matched(self, topics: Sequence[str]) -> int:
+        return sum(self._publishers[topic].get_subscription_count() for topic in topics)
+
+    def _publish_all(self) -> None:
+        while True:
+            with contextlib.closing(Prefetch(self._selected(), lambda m: len(m.data))) as messages:
+                messages.wait_filled(0.5)
+                # A new origin for each round: the gap between the rounds is not a delay.
+                origin = time.monotonic()
+                first_ns: int | None = None
+                for message in messages:
+                    first_ns = message.time_ns if first_ns is None else first_ns
+                    due = origin + (message.time_ns - first_ns) * 1e-9 / self._options.rate
+                    self._sleep_until(due, message.time_ns)
+                    self._publish(message, due)
+                    self._span.add(message.time_ns, time.monotonic())
+            if first_ns is None:
+                raise BagError("bag: no message in the chosen part; need a later end or an earlier start")
+            if not self._options.loop:
+                return
+            self._span.next_round()
+
+    def _selected(self) -> Iterator[RawMessage]:
+        start_ns = self._bag.start_ns + round(self._options.start_s * 1e9)
+        duration = self._options.duration_s
+        for message in self._bag.cdr_messages(tuple(self._publishers)):
+            if duration is not None and message.time_ns > start_ns + duration * 1e9:
+                return
+            if message.time_ns >= start_ns:
+                yield message
+
+    def _publish(self, message: RawMessage, due: float) -> None:
+        self._late_s.append(max(0.0, time.monotonic() - due))
+        self._publishers[message.channel.topic].publish(message.data)
+        self._published[message.channel.topic] += 1
+
+    def _sleep_until(self, due: float, time_ns: int) -> None:
+        """Sleep until a message of `time_ns` is due, and keep /clock ticking for those who listen."""
+        while True:
+            now = time.monotonic()
+            listened = self._clock.get_subscription_count() > 0
+            if listened and (now >= self._clock_due or now >= due):
+                ahead = max(0.0, due - now) * self._options.rate
+                self._clock.publish(clock_message(make_message, time_ns - round(ahead * 1e9)))
+                self._clock_due = now + _CLOCK_PERIOD_S
+            if now >= due:
+                return
+            self._sleep(min(due, self._clock_due) - now if listened else due - now)
+
+    def _sleep(self, seconds: float) -> None:
+        if self._stop.wait(max(0.0, seconds)):
+            raise Stopped
+
+    def _finish(self) -> None:
+        """Let subscribers have the last messages before the publishers go."""
+        until = time.monotonic() + (0.0 if self._stop.requested else _ACKNOWLEDGE_S)
+        for publisher in self._publishers.values():
+            while time.monotonic() < until and not publisher.wait_for_all_acked(Duration(seconds=0.05)):
+                pass
+        # Best-effort subscribers acknowledge nothing.
+        self._stop.wait(_LINGER_S)
+
+
+class _Span:
+    """From when to when messages were recorded and published; rounds of a loop add up, their gaps do not."""
+
+    def __init__(self) -> None:
+        self.recorded_s = 0.0
+        self.took_s = 0.0
+        self._first: tuple[int, float] | None = None
+        self._done = (0.0, 0.0)
+
+    def add(self, time_ns: int, now_s: float) -> None:
+        """Count a message."""
+        if self._first is None:
+            self._first = (time_ns, now_s)
+        self.recorded_s = self._done[0] + (time_ns - self._first[0]) * 1e-9
+        self.took_s = self._done[1] + now_s - self._first[1]
+
+    def next_round(self) -> None:
+        """Begin a round."""
+        self._done = (self.recorded_s, self.took_s)
+        self._first = None
+
+
+def _qos(topic: str) -> QoSProfile:
+    return latched_qos() if topic.rpartition("/")[2] == "tf_static" else output_qos(30)

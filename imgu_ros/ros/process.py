@@ -1,0 +1,116 @@
+"""The life of a node's process: start, spin, and an orderly end on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.ros.stopping import Stopped, StopSignal
+
+
+class RunnableNode(Protocol):
+    """What `run_node` needs of a node besides being an rclpy `Node`."""
+
+    def start(self) -> None:
+        """Begin the work; called once, from the main thread, before the first callback."""
+
+    def close(self) -> bool:
+        """End the threads of the node and say whether all have ended; safe to call more than once."""
+
+
+def run_node(make_node: Callable[[], Node], ros_arguments: Sequence[str], stop: StopSignal) -> int:
+    """Run a node until the process is asked to stop and return the exit code, 0.
+
+    Parameters
+    ----------
+    make_node : makes the node, a `RunnableNode`
+    ros_arguments : `--ros-args ...` as given by the user
+    stop : entered already, so that a signal that comes while the modules are imported is not lost
+
+    Raises
+    ------
+    ImguError
+        If the node cannot start.
+    """
+    finished = True
+    try:
+        with stop.interruptible():
+            init_ros(ros_arguments)
+            node = _made(make_node)
+        try:
+            with stop.interruptible():
+                node.start()  # type: ignore[attr-defined]
+            _spin(node, stop)
+        finally:
+            finished = node.close()  # type: ignore[attr-defined]
+            node.destroy_node()
+    except Stopped:
+        pass
+    finally:
+        rclpy.try_shutdown()
+    if not finished:
+        # A thread is still deep in a computation that Python cannot end; it publishes nothing any more. The
+        # interpreter's own exit would wait for it, or end it in the middle of C++ code.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
+    return 0
+
+
+def init_ros(ros_arguments: Sequence[str]) -> None:
+    """Initialise rclpy without its signal handlers (see `imgu_ros.ros.stopping`).
+
+    Raises
+    ------
+    ParameterError
+        If the ROS arguments cannot be parsed.
+    """
+    try:
+        rclpy.init(args=["imgu", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
+    except (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError) as error:
+        raise ParameterError(f"ROS arguments: {_without_source_lines(str(error))}") from None
+    except rclpy_implementation.UnknownROSArgsError as error:
+        raise ParameterError(f"ROS arguments: {_without_source_lines(str(error))}") from None
+
+
+def _made(make_node: Callable[[], Node]) -> Node:
+    try:
+        return make_node()
+    except ImguError:
+        raise
+    except (rclpy_implementation.RCLError, ValueError, RuntimeError) as error:
+        # Names, namespaces and QoS overrides that rclpy refuses, each with its own class of error.
+        raise ParameterError(f"ROS arguments: {_without_source_lines(str(error))}") from None
+
+
+def _spin(node: Node, stop: StopSignal) -> None:
+    executor = SingleThreadedExecutor()
+    stop.on_request(executor.wake)
+    executor.add_node(node)
+    try:
+        while not stop.requested:
+            try:
+                executor.spin_once()
+            except Exception as error:
+                # A request that rclpy itself cannot handle must not end the node.
+                node.get_logger().error(f"{type(error).__name__}: {_without_source_lines(str(error))}")
+                time.sleep(0.01)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown(timeout_sec=0)
+
+
+def _without_source_lines(text: str) -> str:
+    """Strip rcl's places in its own source (`, at ./src/x.c:12`) and line ends."""
+    return " ".join(re.sub(r",? at \S+:\d+", "", text).split()).removeprefix("failed to initialize rcl: ")

@@ -1,0 +1,99 @@
+"""Quality of service: what the nodes ask for and offer, and counts of what the middleware reports about it."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    QoSReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+#: Policies that `qos_overrides.<topic>.<publisher|subscription>.<policy>` can set.
+OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
+
+
+class QosCounters:
+    """Counts lost messages and endpoints with incompatible QoS, as the middleware reports them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._lost = 0
+        self._incompatible = 0
+        self._policies: set[str] = set()
+
+    @property
+    def lost(self) -> int:
+        """Messages that were published and never delivered."""
+        return self._lost
+
+    @property
+    def incompatible(self) -> int:
+        """Times that an endpoint was found whose QoS does not fit."""
+        return self._incompatible
+
+    @property
+    def policies(self) -> tuple[str, ...]:
+        """The policies that did not fit."""
+        with self._lock:
+            return tuple(sorted(self._policies))
+
+    def subscription_callbacks(self) -> SubscriptionEventCallbacks:
+        """Return event callbacks that count into this object."""
+        return SubscriptionEventCallbacks(message_lost=self._on_lost, incompatible_qos=self._on_incompatible)
+
+    def publisher_callbacks(self) -> PublisherEventCallbacks:
+        """Return event callbacks that count into this object, and nothing else: every waitable slows the executor."""
+        return PublisherEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
+
+    def _on_lost(self, event: Any) -> None:
+        with self._lock:
+            self._lost += event.total_count_change
+
+    def _on_incompatible(self, event: Any) -> None:
+        with self._lock:
+            self._incompatible += event.total_count_change
+            self._policies.add(str(qos_policy_name_from_kind(event.last_policy_kind)).lower())
+
+
+def image_qos() -> QoSProfile:
+    """Return the profile of image inputs: sensor data, few kept, since only the newest is used."""
+    return _profile(QoSReliabilityPolicy.BEST_EFFORT, 3)
+
+
+def camera_info_qos() -> QoSProfile:
+    """Return the profile of camera_info inputs: sensor data, small, kept longer than the images they belong to."""
+    return _profile(QoSReliabilityPolicy.BEST_EFFORT, 20)
+
+
+def output_qos(depth: int = 5) -> QoSProfile:
+    """Return the profile of outputs and played topics: reliable, so that every kind of subscriber matches."""
+    return _profile(QoSReliabilityPolicy.RELIABLE, depth)
+
+
+def latched_qos(depth: int = 100) -> QoSProfile:
+    """Return the profile of topics whose last messages late subscribers still get (/tf_static)."""
+    return _profile(QoSReliabilityPolicy.RELIABLE, depth, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def overridable() -> QoSOverridingOptions:
+    """Return the option that lets users override the profile by parameters."""
+    return QoSOverridingOptions(OVERRIDABLE)
+
+
+def override_names(resolved_topic: str, kind: str) -> list[str]:
+    """Return the parameters that override the QoS of a topic; `kind` is publisher or subscription."""
+    return [f"qos_overrides.{resolved_topic}.{kind}.{policy.name.lower()}" for policy in OVERRIDABLE]
+
+
+def _profile(
+    reliability: QoSReliabilityPolicy, depth: int, durability: QoSDurabilityPolicy = QoSDurabilityPolicy.VOLATILE
+) -> QoSProfile:
+    return QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability)

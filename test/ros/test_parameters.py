@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from imgu_ros.errors import ParameterError
+from imgu_ros.params import Parameters, declarations
+from imgu_ros.ros.parameters import ParameterServer
+
+
+class ServedNode(Node):
+    def __init__(self, context: Context, arguments: list[str]) -> None:
+        super().__init__("perception", context=context, cli_args=arguments, enable_rosout=False)
+        self.server = ParameterServer(self)
+
+    def set_parameters_atomically(self, parameter_list):
+        return self.server.set_atomically(parameter_list, super().set_parameters_atomically)
+
+    def set(self, **values: object):
+        return self.set_parameters_atomically(
+            [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+        )
+
+
+@pytest.fixture
+def make_node(ros_domain: int) -> Iterator[Callable[..., ServedNode]]:
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=ros_domain)
+    nodes: list[ServedNode] = []
+
+    def make(*overrides: str, arguments: Sequence[str] = ()) -> ServedNode:
+        given = [*arguments, *(word for text in overrides for word in ("-p", text))]
+        nodes.append(ServedNode(context, ["--ros-args", *given] if given else []))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def test_every_declaration_is_described(make_node):
+    node = make_node()
+    types = {
+        "bool": 1, "integer": 2, "double": 3, "string": 4, "integer_array": 7, "double_array": 8, "string_array": 9,
+    }  # fmt: skip
+    for known in declarations():
+        described = node.describe_parameter(known.name)
+        value = node.get_parameter(known.name).value
+        assert described.type == types[known.type_name], known.name
+        assert described.read_only == known.read_only
+        assert known.description in described.description
+        assert known.unit in described.description
+        assert (tuple(value) if isinstance(known.default, tuple) else value) == known.default
+        for choice in known.choices:
+            assert choice in described.additional_constraints
+        if known.type_name == "double" and known.minimum is not None:
+            assert described.floating_point_range[0].from_value == known.minimum
+            assert described.floating_point_range[0].to_value == (known.maximum or float("inf"))
+        if known.type_name == "integer" and known.minimum is not None:
+            assert described.integer_range[0].from_value == known.minimum
+    # None but these and rclpy's own.
+    names = {d.name for d in declarations()}
+    assert {n for n in node._parameters if n not in names} <= {"use_sim_time", "start_type_description_service"}
+
+
+def test_overrides_are_taken_and_converted(make_node):
+    node = make_node(
+        "homography.threshold_px:=5", "targets.images:=[]", "raw.gains:=[2, 1, 3]", "seed:=7", "autostart:=false"
+    )
+    got = node.server.parameters
+    assert got.homography.threshold_px == 5.0
+    assert got.targets.images == ()
+    assert got.raw.gains == (2.0, 1.0, 3.0)
+    assert got.seed == 7
+    assert got.autostart is False
+    assert node.get_parameter("homography.threshold_px").value == 5.0
+    assert node.get_parameter("targets.images").value == []
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        (
+            "homography.treshold_px:=5.0",
+            "homography.treshold_px: unknown parameter; nearest known: homography.threshold_px",
+        ),
+        ("seed:=many", "seed: 'many' (str); need an integer"),
+        ("keypoints.max_count:=2", "keypoints.max_count: 2; need 8 to 100000"),
+        ("targets.widths_m:=[0.1, 0.2]", "targets.widths_m: 2 values; need none, or 0"),
+        ("reference:=keyframe", "reserved"),
+    ],
+)
+def test_a_bad_override_is_refused(make_node, override, said):
+    with pytest.raises(ParameterError) as caught:
+        make_node(override)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"sed": 1}, "nearest known: seed"),
+        ({"homography__threshold_px": 1e6}, "need 0.1 to 100 px"),
+        ({"homography__threshold_px": float("nan")}, "need 0.1 to 100 px"),
+        ({"keypoints__detector": "orbb"}, "orb"),
+        ({"pyramid__levels": "4"}, "need an integer"),
+        ({"image_transport": "compressed"}, "read-only"),
+        ({"raw__white_level": 5.0, "raw__black_level": 6.0}, "raw.white_level: 5; need more than raw.black_level"),
+        ({"targets__images": ["a.png"], "targets__widths_m": [1.0, 2.0]}, "targets.widths_m: 2 values"),
+        ({"seed": 5, "keypoints__max_count": 1}, "keypoints.max_count"),
+    ],
+)
+def test_a_bad_set_is_refused_whole(make_node, values, said):
+    node = make_node()
+    before = node.server.parameters
+    result = node.set(**values)
+    assert not result.successful
+    assert said in result.reason
+    assert node.server.parameters is before
+    assert node.get_parameter("seed").value == 0
+
+
+def test_values_that_depend_on_each_other_go_together(make_node):
+    node = make_node("raw.black_level:=100.0", "raw.white_level:=200.0")
+    alone = node.set(raw__black_level=300.0)
+    assert not alone.successful
+    assert "set_parameters_atomically" in alone.reason
+    assert node.set(raw__black_level=300.0, raw__white_level=400.0).successful
+    assert node.server.parameters.raw.black_level == 300.0
+
+
+def test_an_integer_serves_as_a_double_and_a_change_makes_a_new_object(make_node):
+    node = make_node()
+    before = node.server.parameters
+    assert node.set(homography__threshold_px=4).successful
+    assert node.server.parameters is not before
+    assert node.server.parameters.homography.threshold_px == 4.0
+    assert node.get_parameter("homography.threshold_px").type_ is Parameter.Type.DOUBLE
+    assert node.set(use_sim_time=False).successful
+
+
+def test_targets_wait_for_reload(make_node):
+    node = make_node()
+    # One by one, as the parameter service does.
+    assert node.set(targets__images=["a.png", "b.png"]).successful
+    assert node.set(targets__widths_m=[0.5]).successful
+    assert node.server.parameters == Parameters()
+    with pytest.raises(ParameterError):
+        node.server.reload()
+    assert node.set(targets__widths_m=[0.5, 0.0]).successful
+    assert node.server.reload().targets.widths_m == (0.5, 0.0)
+    assert node.set(seed=3).successful
+    assert node.server.parameters.targets.images == ("a.png", "b.png")
+
+
+def test_qos_overrides_of_unknown_topics_are_refused(make_node, tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**: {ros__parameters: {qos_overrides: {/imag: {subscription: {depth: 2}}}}}\n")
+    node = make_node(arguments=["--params-file", str(file)])
+    with pytest.raises(ParameterError, match="nearest known: qos_overrides./image.subscription.depth"):
+        node.server.check_qos_overrides({"qos_overrides./image.subscription.depth": None})
+    node.server.check_qos_overrides({"qos_overrides./imag.subscription.depth": None})
+
+
+def test_a_parameter_file_is_read_and_checked(make_node, tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("perception: {ros__parameters: {targets: {images: []}, homography: {threshold_px: 2}}}\n")
+    assert make_node(arguments=["--params-file", str(file)]).server.parameters.homography.threshold_px == 2.0
+    file.write_text("/**: {ros__parameters: {homography: {treshold_px: 2.0}}}\n")
+    with pytest.raises(ParameterError, match="nearest known: homography.threshold_px"):
+        make_node(arguments=["--params-file", str(file)])
