@@ -75,13 +75,16 @@ def compressed_image_message(
         If the pixels do not fit the encoding, or the encoding the file format.
     """
     known = encoding_named(encoding)
-    kind = FileKind(file_format)
+    kind = _file_kind(file_format)
     picture = _as_opencv_picture(pixels, known, kind)
     if kind is FileKind.JPEG:
         options = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
     else:
         options = [cv2.IMWRITE_PNG_COMPRESSION, png_level]
-    done, data = cv2.imencode(f".{kind}", picture, options)
+    try:
+        done, data = cv2.imencode(f".{kind}", picture, options)
+    except cv2.error:
+        done = False  # OpenCV 5 says no, OpenCV 4 raises
     if not done:
         raise EncodingError(
             f"pixels: {picture.shape} {picture.dtype} cannot be written as {kind}; need a smaller picture"
@@ -101,6 +104,13 @@ class _Format:
 
     original: str
     rgb_inside: bool
+
+
+def _file_kind(name: str) -> FileKind:
+    try:
+        return FileKind(name)
+    except ValueError:
+        raise EncodingError(f"file_format: {name!r}; need {' or '.join(FileKind)}") from None
 
 
 def _parse_format(text: str) -> _Format:

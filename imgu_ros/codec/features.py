@@ -83,7 +83,8 @@ def decode_keypoints(message: Any) -> tuple[Keypoints, Image | None]:
     keypoints = Keypoints(xy, columns["scale"], columns["angle"], columns["response"], table["octave"].astype(np.int32))
     descriptors = None
     if "descriptor" in (table.dtype.names or ()):
-        descriptors = np.ascontiguousarray(table["descriptor"]).reshape(len(table), -1 if len(table) else 0)
+        column = table["descriptor"]
+        descriptors = np.ascontiguousarray(column if column.ndim == 2 else column[:, None])
     return keypoints, descriptors
 
 

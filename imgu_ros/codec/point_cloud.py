@@ -23,7 +23,7 @@ _DTYPES = {number: code for code, number in _DATATYPES.items()}
 
 
 def point_cloud_message(make: MessageFactory, header: Header, table: Table) -> Any:
-    """Return a sensor_msgs/PointCloud2 of one row (height 1), in the layout of the array, padding included.
+    """Return a sensor_msgs/PointCloud2 of one row (height 1), in the layout of the array; padding is zero.
 
     Parameters
     ----------
@@ -38,6 +38,10 @@ def point_cloud_message(make: MessageFactory, header: Header, table: Table) -> A
     if table.ndim != 1 or not dtype.names:
         raise EncodingError(f"table: shape {table.shape}, fields {dtype.names}; need (N,) with named fields")
     fields = [_field(make, dtype, name) for name in dtype.names]
+    # Column by column: numpy may leave whatever was in memory between the columns.
+    rows = np.zeros(len(table), dtype)
+    for name in dtype.names:
+        rows[name] = table[name]
     return make(
         "sensor_msgs/msg/PointCloud2",
         header=header_message(make, header),
@@ -47,7 +51,7 @@ def point_cloud_message(make: MessageFactory, header: Header, table: Table) -> A
         is_bigendian=sys.byteorder == "big",
         point_step=dtype.itemsize,
         row_step=dtype.itemsize * len(table),
-        data=np.frombuffer(np.ascontiguousarray(table).tobytes(), np.uint8),
+        data=rows.view(np.uint8),
         is_dense=True,
     )
 

@@ -237,3 +237,8 @@ def test_nothing_is_printed_about_damaged_data(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_unknown_file_format(make):
+    with pytest.raises(EncodingError, match="file_format: 'webp'; need jpeg or png"):
+        compressed_image_message(make, HEADER, np.zeros((4, 4), np.uint8), "mono8", file_format="webp")
