@@ -94,7 +94,7 @@ _find_python() {
     [[ $# -gt 0 ]] || set -- 3.12 3.11
     for version in "$@"; do
         # A shim of pyenv can be on PATH for a version that is not switched on: trying it is the only way to know.
-        for candidate in "python$version" python3 "${PYENV_ROOT:-$HOME/.pyenv}/versions/$version".*/bin/python; do
+        for candidate in "python$version" python3 "${PYENV_ROOT:-${HOME:-}/.pyenv}/versions/$version".*/bin/python; do
             command -v "$candidate" >/dev/null || continue
             [[ $("$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) == "$version" ]] || continue
             if _try_python "$candidate"; then return; fi
