@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, cast, get_args, get_type_hints
@@ -65,7 +65,11 @@ def parameter(
 class TargetsParameters:
     images: tuple[str, ...] = parameter((), "Image files of the known flat targets; `~` and `$VARIABLES` are expanded.")
     widths_m: tuple[float, ...] = parameter(
-        (), "Printed width of each target, outer edge to outer edge; 0 or missing: unknown, no metric pose.", unit="m", minimum=0.0, maximum=1e4
+        (),
+        "Printed width of each target, outer edge to outer edge; 0 or missing: unknown, no metric pose.",
+        unit="m",
+        minimum=0.0,
+        maximum=1e4,
     )
     names: tuple[str, ...] = parameter((), "Name of each target in topics and files; default: the file's stem.")
     poses: tuple[float, ...] = parameter(
@@ -86,7 +90,9 @@ class FramesParameters:
 
 @dataclass(frozen=True, slots=True)
 class TfParameters:
-    root_frame: str = parameter("", "Root of the robot's tree, child of the map when `targets.poses` are given; empty: the camera's frame.")
+    root_frame: str = parameter(
+        "", "Root of the robot's tree, child of the map when `targets.poses` are given; empty: the camera's frame."
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,25 +117,37 @@ class RawParameters:
         minimum=0,
         maximum=16,
     )
-    gains: tuple[float, ...] = parameter((1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", minimum=0.01, maximum=100.0)
-    bands: tuple[int, ...] = parameter((), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=63)
+    gains: tuple[float, ...] = parameter(
+        (1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", minimum=0.01, maximum=100.0
+    )
+    bands: tuple[int, ...] = parameter(
+        (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=63
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class PyramidParameters:
-    kind: str = parameter("fine", "`coarse`: octaves; `fine`: several scales in every octave.", choices=("coarse", "fine"))
+    kind: str = parameter(
+        "fine", "`coarse`: octaves; `fine`: several scales in every octave.", choices=("coarse", "fine")
+    )
     kernel: str = parameter("sampled", "Gaussian kernel that smooths before subsampling.", choices=("sampled",))
     levels: int = parameter(8, "Most levels; fewer when the image gets too small.", minimum=1, maximum=32)
     scales_per_octave: int = parameter(3, "Levels in an octave when `pyramid.kind` is `fine`.", minimum=1, maximum=8)
     max_side_px: int = parameter(
-        960, "Longest side of level 0: a larger image is reduced by halves before features are sought.", unit="px", minimum=64, maximum=16384
+        960,
+        "Longest side of level 0: a larger image is reduced by halves before features are sought.",
+        unit="px",
+        minimum=64,
+        maximum=16384,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class KeypointsParameters:
     detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "dog", "orb"))
-    max_count: int = parameter(1000, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000)
+    max_count: int = parameter(
+        1000, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,23 +158,33 @@ class DescriptorParameters:
 @dataclass(frozen=True, slots=True)
 class MatchingParameters:
     metric: str = parameter(
-        "auto", "Distance between descriptors; `auto`: Hamming for binary ones, Euclidean for others.",
+        "auto",
+        "Distance between descriptors; `auto`: Hamming for binary ones, Euclidean for others.",
         choices=("auto", "euclidean", "cosine", "hamming"),
     )
-    ratio: float = parameter(0.85, "Keep a match when best / second-best distance is below this; 1 keeps all.", minimum=0.1, maximum=1.0)
+    ratio: float = parameter(
+        0.85, "Keep a match when best / second-best distance is below this; 1 keeps all.", minimum=0.1, maximum=1.0
+    )
     mutual: bool = parameter(True, "Keep a match only when each is the other's nearest.")
 
 
 @dataclass(frozen=True, slots=True)
 class HomographyParameters:
     sampler: str = parameter("prosac", "How minimal samples are drawn.", choices=("uniform", "prosac"))
-    threshold_px: float = parameter(3.0, "Largest distance of an inlier, in pixels of the full image.", unit="px", minimum=0.1, maximum=100.0)
-    confidence: float = parameter(0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999)
+    threshold_px: float = parameter(
+        3.0, "Largest distance of an inlier, in pixels of the full image.", unit="px", minimum=0.1, maximum=100.0
+    )
+    confidence: float = parameter(
+        0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999
+    )
     max_iterations: int = parameter(2000, "Most samples drawn.", minimum=1, maximum=1_000_000)
     min_inliers: int = parameter(12, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
-    error: str = parameter("sampson", "Error that the refinement minimises.", choices=("algebraic", "symmetric", "sampson"))
+    error: str = parameter(
+        "sampson", "Error that the refinement minimises.", choices=("algebraic", "symmetric", "sampson")
+    )
     refine: str = parameter(
-        "levenberg_marquardt", "How the inliers' error is minimised.",
+        "levenberg_marquardt",
+        "How the inliers' error is minimised.",
         choices=("none", "gauss_newton", "levenberg_marquardt"),
     )
 
@@ -169,9 +197,22 @@ class RefinementParameters:
 
 
 @dataclass(frozen=True, slots=True)
+class TrackingParameters:
+    enabled: bool = parameter(
+        True, "Follow a target from frame to frame by alignment, and detect it only when that fails."
+    )
+    search_every: int = parameter(
+        5, "While one target is tracked, look for the missing ones in every n-th frame.", minimum=1, maximum=1000
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class PoseParameters:
     ambiguity_ratio: float = parameter(
-        0.8, "The pose is ambiguous when best / second-best reprojection error of the two planar solutions exceeds this.", minimum=0.0, maximum=1.0
+        0.8,
+        "The pose is ambiguous when best / second-best reprojection error of the two planar solutions exceeds this.",
+        minimum=0.0,
+        maximum=1.0,
     )
 
 
@@ -179,10 +220,18 @@ class PoseParameters:
 class Parameters:
     """All parameters. The defaults serve most people: set `targets.images` and `targets.widths_m`."""
 
-    reference: str = parameter("target", "What poses refer to: known printed images.", choices=("target",), read_only=True)
-    image_transport: str = parameter("raw", "Live input: `raw` (sensor_msgs/Image) or `compressed`.", choices=("raw", "compressed"), read_only=True)
-    image_topic: str = parameter("", "Replay: the image topic; empty: the first that the chain can read.", read_only=True)
-    camera_info_topic: str = parameter("", "Replay: the camera_info topic; empty: beside the image topic.", read_only=True)
+    reference: str = parameter(
+        "target", "What poses refer to: known printed images.", choices=("target",), read_only=True
+    )
+    image_transport: str = parameter(
+        "raw", "Live input: `raw` (sensor_msgs/Image) or `compressed`.", choices=("raw", "compressed"), read_only=True
+    )
+    image_topic: str = parameter(
+        "", "Replay: the image topic; empty: the first that the chain can read.", read_only=True
+    )
+    camera_info_topic: str = parameter(
+        "", "Replay: the camera_info topic; empty: beside the image topic.", read_only=True
+    )
     autostart: bool = parameter(True, "Configure and activate the node at start.", read_only=True)
     publish_tf: bool = parameter(False, "Publish camera -> target on /tf (needs tf2_msgs).", read_only=True)
     seed: int = parameter(0, "Seed of every random draw.", minimum=0, maximum=2**53)
@@ -199,6 +248,7 @@ class Parameters:
     matching: MatchingParameters = field(default_factory=MatchingParameters)
     homography: HomographyParameters = field(default_factory=HomographyParameters)
     refinement: RefinementParameters = field(default_factory=RefinementParameters)
+    tracking: TrackingParameters = field(default_factory=TrackingParameters)
     pose: PoseParameters = field(default_factory=PoseParameters)
 
 
@@ -252,9 +302,9 @@ def checked_value(name: str, value: object) -> ParameterValue:
         element = known.type_name.removesuffix("_array")
         if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
             raise ParameterError(f"{name}: {value!r} ({type(value).__name__}); need a list of {element}s")
-        items = cast("list[Any]", list(value))
+        items = list(cast("Iterable[object]", value))
         return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
-    return _checked_scalar(name, value, known.type_name, known)
+    return cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
 
 
 def parameters_from(values: Mapping[str, object], base: Parameters | None = None) -> Parameters:
@@ -295,7 +345,9 @@ def _declarations(group: type, prefix: str) -> Iterator[Declaration]:
 
 def _declaration(item: Field[Any], hint: Any, prefix: str) -> Declaration:
     if item.default is MISSING or "description" not in item.metadata or hint not in _TYPE_NAMES:
-        raise TypeError(f"{prefix}{item.name}: declare it with parameter() and a ROS type, not {get_args(hint) or hint}")
+        raise TypeError(
+            f"{prefix}{item.name}: declare it with parameter() and a ROS type, not {get_args(hint) or hint}"
+        )
     return Declaration(name=f"{prefix}{item.name}", type_name=_TYPE_NAMES[hint], default=item.default, **item.metadata)
 
 
@@ -309,9 +361,13 @@ def _checked_scalar(name: str, value: object, type_name: str, known: Declaration
         raise ParameterError(f"{name}: {value!r} ({type(value).__name__}); need {_article(type_name)}")
     if known.choices and value not in known.choices:
         if (known.name, value) in RESERVED_CHOICES:
-            raise ParameterError(f"{name}: {value!r} is reserved and not available in this version; need {_listed(known.choices)}")
+            raise ParameterError(
+                f"{name}: {value!r} is reserved and not available in this version; need {_listed(known.choices)}"
+            )
         near = difflib.get_close_matches(str(value), known.choices, n=1)
-        raise ParameterError(f"{name}: {value!r}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else ""))
+        raise ParameterError(
+            f"{name}: {value!r}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else "")
+        )
     if isinstance(value, int | float) and not isinstance(value, bool):
         low = -math.inf if known.minimum is None else known.minimum
         high = math.inf if known.maximum is None else known.maximum
@@ -337,7 +393,11 @@ def _replaced(group: Any, path: list[str], value: ParameterValue) -> Any:
 def _check_together(parameters: Parameters) -> None:
     targets = parameters.targets
     count = len(targets.images)
-    for name, got in (("widths_m", len(targets.widths_m)), ("names", len(targets.names)), ("poses", len(targets.poses) / 7)):
+    for name, got in (
+        ("widths_m", len(targets.widths_m)),
+        ("names", len(targets.names)),
+        ("poses", len(targets.poses) / 7),
+    ):
         if got not in (0, count):
             need = f"none, or {count * 7 if name == 'poses' else count}: {'seven' if name == 'poses' else 'one'} for each of targets.images"
             raise ParameterError(f"targets.{name}: {len(getattr(targets, name))} values; need {need}")

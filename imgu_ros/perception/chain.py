@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.errors import ImguError
+from imgu_ros.errors import EstimationError, ImguError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
-from imgu_ros.perception.develop import develop
+from imgu_ros.perception.develop import Developed, develop
 from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result, Stage, Status, TargetResult
+from imgu_ros.perception.posing import posed
+from imgu_ros.perception.refinement import Alignment
+from imgu_ros.perception.result import Result, Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.search import Searched, search
 from imgu_ros.perception.targets import Target
-from imgu_ros.vision.descriptors.describe import describe
+from imgu_ros.perception.tracking import Sighting, Track, follow, located
+from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
-from imgu_ros.vision.scale_space.pyramid import build_pyramid
+from imgu_ros.vision.matching.matches import Matches
+from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
 
 
 class Chain:
     """From raw frames to poses of known targets.
+
+    Frames are expected in the order of time; the tracker remembers where targets were.
 
     Parameters
     ----------
@@ -32,21 +39,34 @@ class Chain:
     def __init__(self, parameters: Parameters, targets: Sequence[Target]) -> None:
         self._parameters = parameters
         self._targets = tuple(targets)
+        self._tracks: list[Track | None] = []
+        self._frames_without_search = 0
+        self.reset()
 
     @property
     def targets(self) -> tuple[Target, ...]:
         """The known targets."""
         return self._targets
 
-    def process(self, frame: Frame) -> Result:
+    def reset(self) -> None:
+        """Forget all that earlier frames told."""
+        self._tracks = [None] * len(self._targets)
+        self._frames_without_search = 0
+
+    def process(self, frame: Frame, with_keypoints: bool = False) -> Result:
         """Work on one frame.
 
         A frame that the chain cannot work on is rejected in the result, with the reason; nothing is raised for it.
+
+        Parameters
+        ----------
+        frame : what to work on
+        with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
         """
         clock = StageClock()
         start = time.perf_counter_ns()
         try:
-            return self._worked(frame, clock, start)
+            return self._worked(frame, with_keypoints, clock, start)
         except ImguError as error:
             rejected = tuple(
                 TargetResult(t.name, i, Status.REJECTED, reason=str(error)) for i, t in enumerate(self._targets)
@@ -55,13 +75,67 @@ class Chain:
                 frame, rejected, reason=str(error), times_ns=clock.times_ns, total_ns=time.perf_counter_ns() - start
             )
 
-    def reset(self) -> None:
-        """Forget all that earlier frames told."""
-
-    def _worked(self, frame: Frame, clock: StageClock, start: int) -> Result:
-        p = self._parameters
+    def _worked(self, frame: Frame, with_keypoints: bool, clock: StageClock, start: int) -> Result:
         with clock.measures(Stage.DEVELOP):
-            developed = develop(frame.image, p.raw, p.demosaic)
+            developed = develop(frame.image, self._parameters.raw, self._parameters.demosaic)
+        # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
+        rngs = [
+            np.random.default_rng((self._parameters.seed, frame.stamp_ns % 2**64, index))
+            for index in range(len(self._targets))
+        ]
+        results: list[TargetResult | None] = [
+            self._followed(index, frame, developed, rngs[index], clock) for index in range(len(self._targets))
+        ]
+        missing = [index for index, result in enumerate(results) if result is None]
+        due = self._search_is_due(missing)
+        features = self._features(developed, clock) if due or with_keypoints else None
+        if features is not None and due:
+            searched = Searched(frame, developed.grey, features.described)
+            for index in missing:
+                results[index] = search(self._targets[index], index, searched, self._parameters, rngs[index], clock)
+        targets = tuple(
+            result or TargetResult(target.name, index, Status.LOST, reason="not looked for in this frame")
+            for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
+        )
+        self._frames_without_search = 0 if due or not missing else self._frames_without_search + 1
+        self._remember(frame, targets)
+        return Result(
+            frame=frame,
+            targets=targets,
+            developed=developed,
+            pyramid=features.pyramid if features else None,
+            keypoints=features.described.keypoints if features else None,
+            descriptors=features.described.descriptors if features else None,
+            times_ns=clock.times_ns,
+            total_ns=time.perf_counter_ns() - start,
+        )
+
+    def _followed(
+        self, index: int, frame: Frame, developed: Developed, rng: np.random.Generator, clock: StageClock
+    ) -> TargetResult | None:
+        """Return the target where its track leads; None when there is no track or it does not hold."""
+        track, target, p = self._tracks[index], self._targets[index], self._parameters
+        if track is None:
+            return None
+        try:
+            with clock.measures(Stage.REFINE):
+                alignment = follow(target, track, developed.grey, frame.stamp_ns, frame.camera, p, rng)
+        except EstimationError:
+            return None
+        found = TargetResult(target.name, index, Status.TRACKED, matches=_as_matches(alignment))
+        with clock.measures(Stage.POSE):
+            return posed(found, target, located(alignment), frame.camera, p)
+
+    def _search_is_due(self, missing: Sequence[int]) -> bool:
+        """Whether missing targets are to be looked for: at once when one was just lost or none is in view."""
+        if not missing:
+            return False
+        just_lost = any(self._tracks[index] is not None for index in missing)
+        none_in_view = len(missing) == len(self._targets)
+        return just_lost or none_in_view or self._frames_without_search + 1 >= self._parameters.tracking.search_every
+
+    def _features(self, developed: Developed, clock: StageClock) -> _Features:
+        p = self._parameters
         with clock.measures(Stage.PYRAMID):
             pyramid = build_pyramid(
                 developed.grey, p.pyramid.kind, p.pyramid.levels, p.pyramid.scales_per_octave, p.pyramid.max_side_px
@@ -69,23 +143,33 @@ class Chain:
         with clock.measures(Stage.KEYPOINTS):
             keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count)
         with clock.measures(Stage.DESCRIBE):
-            described = describe(pyramid, keypoints, p.descriptor.kind)
-        searched = Searched(frame, developed.grey, described)
-        targets = tuple(
-            self._searched(target, index, searched, clock) for index, target in enumerate(self._targets)
-        )
-        return Result(
-            frame=frame,
-            targets=targets,
-            developed=developed,
-            pyramid=pyramid,
-            keypoints=described.keypoints,
-            descriptors=described.descriptors,
-            times_ns=clock.times_ns,
-            total_ns=time.perf_counter_ns() - start,
-        )
+            return _Features(pyramid, describe(pyramid, keypoints, p.descriptor.kind))
 
-    def _searched(self, target: Target, index: int, searched: Searched, clock: StageClock) -> TargetResult:
-        # A stream of its own for each frame and target: a skipped frame changes no other frame's draws.
-        rng = np.random.default_rng((self._parameters.seed, searched.frame.stamp_ns % 2**64, index))
-        return search(target, index, searched, self._parameters, rng, clock)
+    def _remember(self, frame: Frame, targets: Sequence[TargetResult]) -> None:
+        if not self._parameters.tracking.enabled:
+            return
+        for result in targets:
+            track = self._tracks[result.index]
+            if result.homography is None:
+                self._tracks[result.index] = None
+            elif track is None or result.status is Status.DETECTED:
+                self._tracks[result.index] = Track(Sighting(result.homography.H, frame.stamp_ns))
+            else:
+                self._tracks[result.index] = track.continued(result.homography.H, frame.stamp_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Features:
+    """A frame's pyramid, and its keypoints with descriptors."""
+
+    pyramid: Pyramid
+    described: Descriptions
+
+
+def _as_matches(alignment: Alignment) -> TargetMatches:
+    """Return the aligned patches as matches: they have no keypoints, and all agree."""
+    count = len(alignment.template_xy)
+    none = np.full(count, -1, np.intp)
+    return TargetMatches(
+        Matches(none, none, np.zeros(count)), alignment.template_xy, alignment.image_xy, np.ones(count, bool)
+    )

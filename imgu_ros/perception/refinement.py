@@ -20,8 +20,8 @@ from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.refine import HomographyError
 from imgu_ros.vision.projective.transform import local_jacobian, transform
 
-#: Image pyramid levels of the first alignment, which must bridge the detection's error.
-_FIRST_LK_LEVELS = 2
+#: Image pyramid levels that bridge the error of a detection.
+DETECTION_LEVELS = 2
 _LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
 _MIN_EIGENVALUE = 1e-4
 _CONSENSUS_PX = 1.5
@@ -34,6 +34,7 @@ _OUTLIER_SIGMAS = 3.6
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 _FLOOR_PX = 0.02
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """Points of a target found in a frame by alignment.
@@ -43,11 +44,13 @@ class Alignment:
     template_xy : (N, 2) template px
     image_xy : (N, 2) raw px
     homography : H_image_template in ideal px, of these points; every one is an inlier
+    sought : patches that were looked for
     """
 
     template_xy: Points
     image_xy: Points
     homography: HomographyEstimate
+    sought: int
 
 
 def refine_by_alignment(
@@ -58,6 +61,7 @@ def refine_by_alignment(
     parameters: RefinementParameters,
     min_points: int,
     rng: np.random.Generator,
+    first_levels: int = DETECTION_LEVELS,
 ) -> Alignment:
     """Align a target with a frame, starting from a homography that is right to a few pixels.
 
@@ -70,13 +74,14 @@ def refine_by_alignment(
     parameters : number and size of the patches
     min_points : fewest patches that must agree
     rng : source of the draws of the robust fit
+    first_levels : image pyramid levels of the first alignment, 0 to 4; each doubles the error that it bridges
 
     Raises
     ------
     NoConsensus, TooFewPoints, DegenerateConfiguration
         If the patches do not agree on a homography.
     """
-    coarse = _follow(grey, target, H, camera, parameters, min_points, _FIRST_LK_LEVELS)
+    coarse = _follow(grey, target, H, camera, parameters, min_points, first_levels)
     consensus = estimate_homography(
         coarse.template_xy,
         coarse.ideal_xy,
@@ -163,7 +168,7 @@ def _trimmed(followed: _Followed, H: Matrix3, min_points: int) -> Alignment:
         previous, kept = kept, distance <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX)
         if np.array_equal(previous, kept):
             break
-    return Alignment(template_xy[previous], followed.image_xy[previous], fit)
+    return Alignment(template_xy[previous], followed.image_xy[previous], fit, followed.sought)
 
 
 def _fitting_level(target: Target, H: Matrix3) -> AlignmentLevel:

@@ -56,11 +56,14 @@ class PoseStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetMatches:
-    """Tentative matches between a target and the frame, best first.
+    """Correspondences between a target and the frame, best first.
+
+    Of a detected target they are the tentative matches of keypoints; of a tracked one the patches that were followed
+    and agree.
 
     Attributes
     ----------
-    matches : indices into the target's and the frame's keypoints, with the descriptor distance
+    matches : indices into the target's and the frame's keypoints, with the descriptor distance; -1 and 0 for patches
     template_xy : (N, 2) px of the full-resolution target image
     image_xy : (N, 2) raw px of the frame
     inliers : (N,) agrees with the homography; all False when there is none
@@ -114,7 +117,7 @@ class Result:
     targets : one entry for each known target, in the order of `targets.images`; also when the frame was rejected
     reason : why the frame was rejected; empty when it was not
     developed : grey picture, and colour on demand; None when the frame was rejected
-    pyramid, keypoints, descriptors : intermediates; None when the stage was not reached
+    pyramid, keypoints, descriptors : intermediates; None when no target had to be looked for
     times_ns : time that each stage took, for the stages that ran
     total_ns : time of the whole frame
     """

@@ -124,9 +124,7 @@ class Camera:
         return self.distort(np.linalg.solve(self.K[:2, :2], (ideal - self.K[:2, 2]).T).T)
 
 
-def make_camera(
-    K: ArrayLike, distortion: ArrayLike, model: DistortionModel | str, width: int, height: int
-) -> Camera:
+def make_camera(K: ArrayLike, distortion: ArrayLike, model: DistortionModel | str, width: int, height: int) -> Camera:
     """Check intrinsics and build a `Camera`.
 
     Parameters
@@ -179,10 +177,12 @@ def _bend_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:
     radial = numerator / denominator
     # d radial / d r2
     slope = (k1 + r2 * (2 * k2 + 3 * k3 * r2) - radial * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) / denominator
-    bent = np.column_stack((
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-    ))
+    bent = np.column_stack(
+        (
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        )
+    )
     jacobian = np.empty((len(xy), 2, 2))
     jacobian[:, 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
     jacobian[:, 0, 1] = jacobian[:, 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y

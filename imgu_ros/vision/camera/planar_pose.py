@@ -68,7 +68,9 @@ def planar_poses(plane_xy: ArrayLike, pixels: ArrayLike, camera: Camera, noise_p
         except EstimationError:
             continue  # a start behind the camera or at a grazing angle is no solution
     if not refined:
-        raise DegenerateConfiguration("pixels: no pose in front of the camera explains them; need a plane seen from its front")
+        raise DegenerateConfiguration(
+            "pixels: no pose in front of the camera explains them; need a plane seen from its front"
+        )
     refined.sort(key=lambda pose: pose.rms_px)
     if len(refined) > 1 and _same(refined[0], refined[1]):
         refined = refined[:1]
@@ -123,7 +125,9 @@ def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
             plane, np.ascontiguousarray(normalized), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
         )
     except cv2.error as error:
-        raise DegenerateConfiguration(f"pixels: no planar pose ({error.err}); need a plane seen from its front") from None
+        raise DegenerateConfiguration(
+            f"pixels: no planar pose ({error.err}); need a plane seen from its front"
+        ) from None
     starts = []
     for rvec, tvec in zip(rotations[:count], translations[:count], strict=True):
         start = np.eye(4)

@@ -170,7 +170,9 @@ def _normal_equations(current: Linearisation, weights: Floats) -> tuple[Floats, 
 def _solved(normal: Floats, gradient: Floats, damping: float) -> Floats:
     scale = np.sqrt(np.diag(normal))
     if not (np.isfinite(normal).all() and (scale > 0).all()):
-        raise DegenerateConfiguration("normal equations: a parameter has no effect; need measurements that determine it")
+        raise DegenerateConfiguration(
+            "normal equations: a parameter has no effect; need measurements that determine it"
+        )
     scaled = normal / np.outer(scale, scale) + damping * np.eye(len(normal))
     try:
         return np.linalg.solve(scaled, -gradient / scale) / scale

@@ -118,7 +118,9 @@ def ransac(
     found = int(np.count_nonzero(inlier_mask))
     wanted = max(min_inliers, model.sample_size + 1)
     if best is None or found < wanted:
-        raise NoConsensus(f"inliers: {found} of {model.count} within {threshold:g} after {drawn} samples; need {wanted}")
+        raise NoConsensus(
+            f"inliers: {found} of {model.count} within {threshold:g} after {drawn} samples; need {wanted}"
+        )
     return Consensus(best, inlier_mask, drawn)
 
 

@@ -53,13 +53,9 @@ class Keypoints:
 
     def chosen(self, which: Indices | Mask) -> Keypoints:
         """Return the keypoints of the given indices or mask."""
-        return Keypoints(
-            self.xy[which], self.scale[which], self.angle[which], self.response[which], self.octave[which]
-        )
+        return Keypoints(self.xy[which], self.scale[which], self.angle[which], self.response[which], self.octave[which])
 
 
 def on_level(keypoints: Keypoints, level: Level) -> Corners:
     """Return the keypoints in the coordinates of a pyramid level."""
-    return Corners(
-        level.from_full(keypoints.xy), keypoints.scale / level.scale, keypoints.angle, keypoints.response
-    )
+    return Corners(level.from_full(keypoints.xy), keypoints.scale / level.scale, keypoints.angle, keypoints.response)

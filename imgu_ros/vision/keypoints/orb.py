@@ -28,7 +28,10 @@ def detect_orb(image: Image, max_count: int) -> Corners:
     if min(image.shape) <= PATCH_PX:
         return corners_from_opencv([], SIGMA_PER_SIZE, with_angle=True)
     detector = cv2.ORB.create(
-        nfeatures=_SURPLUS * max_count, nlevels=1, patchSize=PATCH_PX, edgeThreshold=PATCH_PX // 2 + 1,
+        nfeatures=_SURPLUS * max_count,
+        nlevels=1,
+        patchSize=PATCH_PX,
+        edgeThreshold=PATCH_PX // 2 + 1,
         fastThreshold=_FAST_THRESHOLD,
     )
     return corners_from_opencv(detector.detect(image, None), SIGMA_PER_SIZE, with_angle=True)

@@ -69,8 +69,13 @@ def estimate_homography(
         raise TooFewPoints(f"src, dst: {len(src)} correspondences; need at least 4")
     model = HomographyModel(src, dst)
     consensus = ransac(
-        model, threshold_px, rng,
-        sampler=sampler, confidence=confidence, max_iterations=max_iterations, min_inliers=min_inliers,
+        model,
+        threshold_px,
+        rng,
+        sampler=sampler,
+        confidence=confidence,
+        max_iterations=max_iterations,
+        min_inliers=min_inliers,
     )
     H = model.denormalised(consensus.hypothesis)
     inliers = _inliers(H, src, dst, threshold_px)
@@ -118,7 +123,9 @@ def fit_homography(
     problem = _PROBLEMS[error](_mapped(T_src, src), _mapped(T_dst, dst))
     scaled = normalised_homography(T_dst @ H @ np.linalg.inv(T_src))
     if not faces_camera(scaled, _mapped(T_src, src)):
-        raise DegenerateConfiguration("H: the points are seen mirrored or across the horizon; need one side of the plane")
+        raise DegenerateConfiguration(
+            "H: the points are seen mirrored or across the horizon; need one side of the plane"
+        )
     # No step at all still gives the residuals and their derivative, from which the covariance comes.
     minimum = minimise(problem, scaled, refine or Minimiser.GAUSS_NEWTON, max_iterations=30 if refined else 0)
     if not faces_camera(minimum.estimate, _mapped(T_src, src)):

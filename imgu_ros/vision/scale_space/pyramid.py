@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import cv2
+import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image
 from imgu_ros.vision.scale_space.gaussian import smooth
-
-import numpy as np
 
 #: Blur that a sampled image is taken to have, in its own pixels (Lowe 2004, section 3.3).
 CAMERA_SIGMA_PX = 0.5

@@ -1,0 +1,83 @@
+"""From a target's homography to what is said of it: plausibility, outline, pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import DegenerateConfiguration, EstimationError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.result import PoseStatus, TargetResult
+from imgu_ros.perception.targets import Target
+from imgu_ros.types import Points
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.planar_pose import planar_poses
+from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.transform import faces_camera, transform
+
+#: A target whose outline covers less than this in the frame is not one.
+_MIN_AREA_PX = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """Where a target is.
+
+    Attributes
+    ----------
+    template_xy, image_xy : (N, 2) correspondences without outliers, template px and raw px
+    homography : H_image_template in ideal px
+    """
+
+    template_xy: Points
+    image_xy: Points
+    homography: HomographyEstimate
+
+
+def bending(camera: Camera | None) -> Camera | None:
+    """Return the camera when its lens distorts, else None: then raw pixels are ideal ones."""
+    return camera if camera is not None and camera.is_distorted else None
+
+
+def posed(
+    found: TargetResult, target: Target, located: Located, camera: Camera | None, parameters: Parameters
+) -> TargetResult:
+    """Complete a result by homography, outline and, where it can be, pose."""
+    outline = transform(located.homography.H, target.outline_template)
+    lens = bending(camera)
+    found = replace(
+        found,
+        homography=located.homography,
+        outline=outline if lens is None else lens.raw_pixels(outline),
+    )
+    if camera is None:
+        return replace(
+            found, pose_status=PoseStatus.UNCALIBRATED, reason="no calibration: K is zero or there is no camera_info"
+        )
+    if target.width_m == 0:
+        return replace(found, pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
+    try:
+        poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
+    except EstimationError as error:
+        return replace(found, reason=str(error))
+    ambiguous = poses.ambiguity > parameters.pose.ambiguity_ratio
+    return replace(
+        found,
+        pose_status=PoseStatus.AMBIGUOUS if ambiguous else PoseStatus.METRIC,
+        reason="both planar solutions fit" if ambiguous else "",
+        pose=None if ambiguous else poses.solutions[0],
+        solutions=poses.solutions,
+        ambiguity=poses.ambiguity,
+    )
+
+
+def require_plausible(target: Target, estimate: HomographyEstimate) -> None:
+    """Raise `DegenerateConfiguration` when a homography cannot be a view of the whole target."""
+    if not faces_camera(estimate.H, target.outline_template):
+        raise DegenerateConfiguration("H: a part of the target would lie behind the camera")
+    outline = transform(estimate.H, target.outline_template)
+    area = abs(cv2.contourArea(outline.astype(np.float32)))
+    if area < _MIN_AREA_PX:
+        raise DegenerateConfiguration(f"H: the target would cover {area:.1f} px; need {_MIN_AREA_PX:g}")
