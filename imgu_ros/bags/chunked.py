@@ -147,6 +147,6 @@ class ChunkedStorage:
         self._warnings.add(f"{self._name}: {text}{self._until(start)}", kind)
 
     def _until(self, offset: int) -> str:
-        """Return the time of the last message before `offset`."""
-        ends = [stretch.end_ns for stretch in self._stretches if stretch.offset < offset]
+        """Return the time of the last message that begins until `offset`."""
+        ends = [stretch.end_ns for stretch in self._stretches if stretch.offset <= offset]
         return seconds(max(ends)) if ends else "nowhere (no message before)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from rosbags.interfaces import Nodetype
@@ -50,6 +51,8 @@ class MessageDecoder:
                 return _as_ros2(message, channel.type_name) if channel.type_name in typestore().fielddefs else message
             # A view, so that rosbags does not copy the message to strip the encapsulation.
             return store.deserialize_cdr(memoryview(data), channel.type_name)
+        except BagError:
+            raise
         except Exception as error:
             # The generated deserialisers let through whatever damaged bytes provoke.
             raise BagError(f"{channel.type_name}: {_one_line(error)}; need bytes of this type") from None
@@ -60,15 +63,18 @@ class MessageDecoder:
         Raises
         ------
         BagError
-            If it is of neither, or cannot be decompressed or converted.
+            If it is damaged, of neither, or cannot be converted.
         """
         channel = raw.channel
-        if channel.serialization == Serialization.CDR:
-            return bytes(decompressed_message(raw.data))
+        if channel.serialization == Serialization.CDR and self.type_error(channel):
+            return decompressed_message(raw.data)  # a type that the receiver may know
         message = self.decoded(raw)
-        if channel.type_name not in typestore().fielddefs:
-            raise BagError(f"{channel.type_name}: not an interface of ROS 2; need one to convert it")
-        return bytes(typestore().serialize_cdr(message, channel.type_name))
+        if channel.serialization == Serialization.CDR:
+            return decompressed_message(raw.data)
+        try:
+            return bytes(typestore().serialize_cdr(message, channel.type_name))
+        except Exception as error:  # a type or a field that ROS 2 does not have, or has otherwise
+            raise BagError(f"{channel.type_name}: not as in ROS 2 ({_one_line(error)}); need the same fields") from None
 
     def _store(self, channel: Channel) -> Typestore | BagError:
         if channel not in self._stores:
@@ -79,6 +85,7 @@ class MessageDecoder:
         return self._stores[channel]
 
 
+@lru_cache(maxsize=64)  # parsing a definition takes longer than reading a frame
 def _typestore_of(channel: Channel) -> Typestore:
     if channel.serialization not in (Serialization.CDR, Serialization.ROS1):
         raise BagError(f"serialised as {channel.serialization!r}; need cdr or ros1")

@@ -14,6 +14,7 @@ from imgu_ros.bags.mcap_format import (
     HEAD_BYTES,
     MAGIC,
     PREFIX,
+    ChunkHeader,
     Opcode,
     channel_record,
     chunk_header,
@@ -70,6 +71,8 @@ class _Walk:
         opcode, length = self.prefix(head)
         end = at + PREFIX.size + length
         if end > self.file.size:
+            if opcode == Opcode.CHUNK:
+                self.take_cut_chunk(at, chunk_header(head, length))
             raise BagError(f"record of {length} bytes at byte {at} reaches beyond the end")
         if opcode == Opcode.MESSAGE:
             self.take_message(at, end, head)
@@ -97,6 +100,13 @@ class _Walk:
         elif opcode == Opcode.FOOTER:
             self.found.is_complete = True
         return end
+
+    def take_cut_chunk(self, at: int, chunk: ChunkHeader) -> None:
+        """Keep what is there of an uncompressed chunk that the file's end cuts."""
+        start = at + chunk.data_offset
+        if chunk.compression == "" and start < self.file.size:
+            size = self.file.size - start
+            self.stretches.append(Stretch(at, start, size, "", size, 0, chunk.start_ns, chunk.end_ns))
 
     @staticmethod
     def prefix(head: bytes) -> tuple[int, int]:

@@ -70,7 +70,7 @@ class SqliteStorage:
         self._database.close()
 
     def _channels(self) -> dict[int, Channel]:
-        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        tables = {_text(name) for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         missing = {"topics", "messages"} - tables
         if missing:
             raise BagError(f"{self._path}: no table {sorted(missing)[0]!r}; need rosbag2's tables topics and messages")

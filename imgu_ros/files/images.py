@@ -1,0 +1,178 @@
+"""Image files: PNM, PNG, TIFF and JPEG at their own depth, and headerless raw data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.types import Image, as_image
+
+#: What each kind of file can hold: (number of channels, data types).
+_WRITABLE: dict[str, tuple[tuple[int, ...], tuple[type, ...]]] = {
+    ".png": ((1, 3), (np.uint8, np.uint16)),
+    ".tif": ((1, 3), (np.uint8, np.uint16, np.float32)),
+    ".tiff": ((1, 3), (np.uint8, np.uint16, np.float32)),
+    ".jpg": ((1, 3), (np.uint8,)),
+    ".jpeg": ((1, 3), (np.uint8,)),
+    ".pgm": ((1,), (np.uint8, np.uint16)),
+    ".ppm": ((3,), (np.uint8, np.uint16)),
+    ".pnm": ((1, 3), (np.uint8, np.uint16)),
+}
+_READABLE_DTYPES = (np.uint8, np.uint16, np.float32)
+_LZW = 5  # else OpenCV 4 writes float colours as LogLuv, which loses precision
+_OPTIONS = {
+    ".jpg": (cv2.IMWRITE_JPEG_QUALITY, 95),
+    ".jpeg": (cv2.IMWRITE_JPEG_QUALITY, 95),
+    ".tif": (cv2.IMWRITE_TIFF_COMPRESSION, _LZW),
+    ".tiff": (cv2.IMWRITE_TIFF_COMPRESSION, _LZW),
+}
+
+
+def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
+    """Read an image file at its own depth.
+
+    Parameters
+    ----------
+    path : PGM, PPM, PNG, TIFF, JPEG, or what else this OpenCV decodes
+    keep_alpha : keep an alpha channel, as the fourth; the orientation that a camera noted is then not applied
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) RGB, or (H, W, 4) RGBA; uint8, uint16, or float32 from a TIFF file. Values are those of the
+    file, never scaled. A JPEG is turned as its Exif orientation says.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, empty, no image, or of another depth.
+    """
+    path = Path(path)
+    # Not cv2.imread: it says nothing about why it fails.
+    encoded = np.frombuffer(_content(path), np.uint8)
+    flags = cv2.IMREAD_UNCHANGED if keep_alpha else cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+    try:
+        pixels: Image | None = cv2.imdecode(encoded, flags)
+    except cv2.error as error:
+        raise FileError(f"{path}: cannot be decoded ({_reason(error)}); need a PGM, PPM, PNG, TIFF or JPEG") from None
+    if pixels is None:
+        raise FileError(f"{path}: not an image ({len(encoded)} bytes); need a PGM, PPM, PNG, TIFF or JPEG")
+    if pixels.dtype not in [np.dtype(dtype) for dtype in _READABLE_DTYPES]:
+        raise FileError(f"{path}: data type {pixels.dtype}; need uint8, uint16 or float32")
+    if pixels.ndim == 2:
+        return pixels
+    if pixels.shape[2] not in (3, 4):
+        raise FileError(f"{path}: {pixels.shape[2]} channels; need 1, 3 or 4")
+    return _swapped(pixels)
+
+
+def write_image(path: Path | str, pixels: Image) -> None:
+    """Write an image file; the suffix chooses the format.
+
+    Parameters
+    ----------
+    path : .png (8 or 16 bit), .tif or .tiff (8 or 16 bit, float32), .jpg or .jpeg (8 bit), .pgm (grey), .ppm (colour),
+        .pnm
+    pixels : (H, W) or (H, W, 3) RGB
+
+    Raises
+    ------
+    FileError
+        If the format is unknown, cannot hold these pixels, or the file cannot be written.
+    ShapeError
+        If `pixels` is not an image.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _WRITABLE:
+        raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(_WRITABLE)}")
+    channels, dtypes = _WRITABLE[suffix]
+    pixels = as_image(pixels, "image", (1, 3))
+    try:
+        as_image(pixels, "image", channels, dtypes)
+    except ShapeError as error:
+        raise FileError(f"{path}: {error} in a {suffix} file") from None
+    options = list(_OPTIONS.get(suffix, ()))
+    try:
+        done, encoded = cv2.imencode(suffix, pixels if pixels.ndim == 2 else _swapped(pixels), options)
+    except cv2.error as error:
+        raise FileError(f"{path}: cannot be encoded ({_reason(error)})") from None
+    if not done:
+        raise FileError(f"{path}: OpenCV cannot encode {pixels.shape} {pixels.dtype}")
+    try:
+        path.write_bytes(encoded)
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+
+
+def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dtype[np.generic]) -> Image:
+    """Read pixels without a header.
+
+    Parameters
+    ----------
+    path : height rows of width values, one after the other
+    width, height : px
+    dtype : "uint8", "uint16" (little-endian), ">u2" (big-endian)
+
+    Returns
+    -------
+    (H, W) uint8 or uint16, in the machine's byte order
+
+    Raises
+    ------
+    FileError
+        If the file is missing or has another size than width x height x bytes of a value, or an argument is not as
+        above.
+    """
+    path = Path(path)
+    stored = _raw_dtype(path, dtype)
+    if width < 1 or height < 1:
+        raise FileError(f"{path}: size {width} x {height}; need at least 1 x 1")
+    need = width * height * stored.itemsize
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need a raw image file") from None
+    if size != need and path.is_file():
+        raise FileError(f"{path}: {size} bytes; need {need} ({width} x {height} x {stored.itemsize})")
+    values = np.frombuffer(_content(path), stored)
+    if values.size != width * height:
+        raise FileError(f"{path}: {values.nbytes} bytes; need {need} ({width} x {height} x {stored.itemsize})")
+    native: Image = values.reshape(height, width).astype(stored.newbyteorder("="))
+    return native
+
+
+def _raw_dtype(path: Path, dtype: str | np.dtype[np.generic]) -> np.dtype[np.generic]:
+    try:
+        stored: np.dtype[np.generic] = np.dtype(dtype)
+    except TypeError:
+        raise FileError(f"{path}: data type {dtype!r}; need uint8, uint16 or >u2") from None
+    if stored.kind != "u" or stored.itemsize > 2:
+        raise FileError(f"{path}: data type {stored}; need uint8, uint16 or >u2")
+    # "uint16" says nothing of the order of bytes: files are little-endian unless said otherwise.
+    return stored.newbyteorder("<") if stored.byteorder == "=" else stored
+
+
+def _content(path: Path) -> bytes:
+    try:
+        content = path.read_bytes()
+    except IsADirectoryError:
+        raise FileError(f"{path}: a folder; need an image file") from None
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}; need an image file") from None
+    if not content:
+        raise FileError(f"{path}: empty file (0 bytes); need an image")
+    return content
+
+
+def _swapped(pixels: Image) -> Image:
+    """Swap red and blue, between our RGB(A) and OpenCV's BGR(A)."""
+    code = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
+    swapped: Image = cv2.cvtColor(pixels, code)
+    return swapped
+
+
+def _reason(error: cv2.error) -> str:
+    return " ".join(str(error).split())[:160]

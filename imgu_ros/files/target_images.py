@@ -1,0 +1,113 @@
+"""Load the pictures of the known targets that the parameters name."""
+
+from __future__ import annotations
+
+import os
+import re
+import unicodedata
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.files.images import read_image
+from imgu_ros.params import TargetsParameters
+from imgu_ros.perception.targets import TargetImage
+from imgu_ros.types import Image
+
+_MIN_SIDE_PX = 16
+#: Grey values between the darkest and the brightest pixel below which a picture has nothing to find.
+_MIN_CONTRAST = 8
+_TOKEN = re.compile(r"[A-Za-z](?!\w*__)\w*", re.ASCII)
+
+
+def load_target_images(targets: TargetsParameters) -> tuple[TargetImage, ...]:
+    """Read the target pictures.
+
+    Parameters
+    ----------
+    targets : `images` with `~` and `$VARIABLES` expanded; a width left out is 0 (unknown), a name left out is the
+        file's stem made a valid ROS name
+
+    Returns
+    -------
+    One for each of `images`, in their order; pixels are uint8.
+
+    Raises
+    ------
+    FileError
+        If a file is missing, no image, too small, or blank.
+    ParameterError
+        If a name is no ROS name, or two targets have the same.
+    """
+    paths = [expanded_path(text) for text in targets.images]
+    names = [_checked_name(name) for name in targets.names] or [name_from_stem(path.stem) for path in paths]
+    _refuse_collisions(names, paths)
+    widths = targets.widths_m or (0.0,) * len(paths)
+    return tuple(
+        TargetImage(name, _target_pixels(path), float(width))
+        for name, path, width in zip(names, paths, widths, strict=True)
+    )
+
+
+def expanded_path(text: str) -> Path:
+    """Return a path with `~` and `$VARIABLES` replaced.
+
+    Raises
+    ------
+    FileError
+        If it is empty, or a variable is not set.
+    """
+    if not text:
+        raise FileError("targets.images: empty file name; need the path of an image")
+    path = os.path.expandvars(os.path.expanduser(text))
+    unset = re.search(r"\$(\w+|\{[^}]*\})", path)
+    if unset and not os.path.exists(path):
+        raise FileError(f"{text}: variable {unset.group()} is not set; need it for the path of an image")
+    return Path(path)
+
+
+def name_from_stem(stem: str) -> str:
+    """Return the valid ROS name nearest to a file's stem: letters, digits, single underscores, a letter first."""
+    ascii_only = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
+    name = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]+", "_", ascii_only)).strip("_")
+    if not name:
+        return "target"
+    return name if name[0].isalpha() else f"target_{name}"
+
+
+def _checked_name(name: str) -> str:
+    if not _TOKEN.fullmatch(name):
+        raise ParameterError(f"targets.names: {name!r}; need letters, digits and single underscores, a letter first")
+    return name
+
+
+def _refuse_collisions(names: list[str], paths: list[Path]) -> None:
+    seen: dict[str, Path] = {}
+    for name, path in zip(names, paths, strict=True):
+        if name in seen:
+            raise ParameterError(f"targets.names: {name!r} for both {seen[name]} and {path}; need different names")
+        seen[name] = path
+
+
+def _target_pixels(path: Path) -> Image:
+    pixels = _as_8_bit(read_image(path))
+    if min(pixels.shape[:2]) < _MIN_SIDE_PX:
+        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
+        raise FileError(f"{path}: {size} px; need a target of at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX}")
+    grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    contrast = int(grey.max()) - int(grey.min())
+    if contrast < _MIN_CONTRAST:
+        raise FileError(f"{path}: blank (grey values differ by {contrast}); need a picture with texture")
+    return pixels
+
+
+def _as_8_bit(pixels: Image) -> Image:
+    """Scale to 8 bits; 10- or 12-bit values in 16-bit files keep their contrast."""
+    if pixels.dtype == np.uint8:
+        return pixels
+    if pixels.dtype == np.uint16:
+        full_scale = float(2 ** max(8, int(pixels.max()).bit_length()) - 1)
+        return cv2.convertScaleAbs(pixels, alpha=255 / full_scale)
+    return np.rint(np.clip(np.nan_to_num(pixels), 0, 1) * 255).astype(np.uint8)
