@@ -1,0 +1,321 @@
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imgu_ros.bags.frames_csv import COLUMNS
+from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.replay import replay
+from imgu_ros.bags.writing import BagWriter
+from imgu_ros.errors import BagError, FileError, ParameterError
+from imgu_ros.files.parameter_files import read_parameter_file
+from imgu_ros.params import Parameters, parameters_from
+from imgu_ros.perception.result import Stage
+from imgu_ros.simulate.recording import record_simulation
+from imgu_ros.simulate.sequence import Simulation
+from imgu_ros.simulate.truth import corner_error, read_truth
+
+SIZE = (480, 360)
+FRAMES = 5
+IMAGE = "/camera/image_raw"
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("simulated") / "bag"
+    record_simulation(path, Simulation(width=SIZE[0], height=SIZE[1], frames=FRAMES))
+    return path
+
+
+@pytest.fixture(scope="module")
+def parameters(bag: Path) -> Parameters:
+    return parameters_from(read_parameter_file(bag / "params.yaml"))
+
+
+@pytest.fixture(scope="module")
+def clean(bag: Path, parameters: Parameters, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("clean") / "out"
+    replay([bag], out, parameters, truth=bag / "truth.csv", record=["keypoints", "path", "/debug_image"])
+    return out
+
+
+@pytest.fixture
+def rewritten(bag: Path, tmp_path: Path) -> Callable[[Callable[[int, Any], Any | None]], Path]:
+    """Copy the bag, each message through a function (index of its frame, message) -> message or None."""
+
+    def rewrite(change: Callable[[int, Any], Any | None]) -> Path:
+        out = tmp_path / "rewritten"
+        count = {"CameraInfo": 0, "Image": 0}
+        with open_bag([bag]) as source, BagWriter(out) as writer:
+            for message in source.messages():
+                kind = message.type_name.rpartition("/")[2]
+                changed = change(count[kind], message.message)
+                count[kind] += 1
+                if changed is not None:
+                    writer.write(message.topic, changed, message.time_ns)
+        return out
+
+    return rewrite
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    with (out / "frames.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def untimed(row: dict[str, str]) -> dict[str, str]:
+    return {name: value for name, value in row.items() if not name.startswith("t_")}
+
+
+def with_fields(message: Any, **changed: object) -> Any:
+    fields = {name: getattr(message, name) for name in message.__dataclass_fields__ if not name.startswith("__")}
+    return type(message)(**{**fields, **changed})
+
+
+def test_columns_are_those_of_the_interface(clean: Path) -> None:
+    h = [f"h{i}{j}" for i in "123" for j in "123"]
+    c = [f"c{i}{j}" for i in "123456" for j in "123456"]
+    expected = (
+        "stamp_ns,frame_id,target,status,pose_status,n_keypoints,n_matches,n_inliers,rms_px".split(",")
+        + h
+        + "tx,ty,tz,qx,qy,qz,qw".split(",")
+        + c
+        + ["ambiguity", "t_total_ms"]
+        + [f"t_{stage}_ms" for stage in Stage]
+    )
+    header = (clean / "frames.csv").read_text().splitlines()[0]
+    assert header.split(",") == expected == list(COLUMNS)
+
+
+def test_every_frame_is_found_and_near_the_truth(bag: Path, clean: Path) -> None:
+    got = rows(clean)
+    assert [int(row["stamp_ns"]) for row in got] == sorted({t.stamp_ns for t in read_truth(bag / "truth.csv")})
+    for row, truth in zip(got, read_truth(bag / "truth.csv"), strict=True):
+        H = np.array([float(row[f"h{i}{j}"]) for i in "123" for j in "123"]).reshape(3, 3)
+        assert row["status"] in ("detected", "tracked")
+        assert corner_error(H, truth.H, (1280, 960), SIZE) < 0.5
+        assert np.linalg.norm(H) == pytest.approx(1, abs=1e-12)
+        assert float(row["qw"]) >= 0
+
+
+def test_numbers_round_trip_and_nothing_is_nan(clean: Path) -> None:
+    for row in rows(clean):
+        for name in COLUMNS[5:]:
+            value = row[name]
+            assert value in ("", repr(float(value) if "." in value or "e" in value else int(value)))
+            assert value not in ("nan", "inf")
+
+
+def test_results_bag_says_the_same_to_the_last_digit(clean: Path) -> None:
+    got = rows(clean)
+    with open_bag([clean / "results"]) as results:
+        topics = {topic.name: topic.count for topic in results.topics}
+        poses = [m.message for m in results.messages(["/pose"])]
+        images = [m.message for m in results.messages(["/debug_image"])]
+    expected = {"homography", "status", "outline", "pose", "odom", "keypoints", "debug_image"}
+    expected |= {f"targets/poster/{name}" for name in ("outline", "pose", "odom")}
+    assert {name: count for name, count in topics.items() if "path" not in name} == {f"/{n}": FRAMES for n in expected}
+    assert topics["/path"] == topics["/targets/poster/path"] == 1
+    for row, message in zip(got, poses, strict=True):
+        stamp = message.header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == int(row["stamp_ns"])
+        assert message.header.frame_id == row["frame_id"]
+        assert [float(row[n]) for n in ("tx", "ty", "tz")] == [getattr(message.pose.pose.position, a) for a in "xyz"]
+        q = message.pose.pose.orientation
+        assert [float(row[n]) for n in ("qx", "qy", "qz", "qw")] == [q.x, q.y, q.z, q.w]
+        assert [float(row[f"c{i}{j}"]) for i in "123456" for j in "123456"] == list(message.pose.covariance)
+    assert (images[0].width, images[0].height, images[0].encoding) == (*SIZE, "rgb8")
+
+
+def test_trajectory_is_the_camera_before_the_target(bag: Path, clean: Path) -> None:
+    lines = [line.split() for line in (clean / "poses_poster.tum").read_text().splitlines()]
+    truths = read_truth(bag / "truth.csv")
+    assert len(lines) == len(truths)
+    for line, truth in zip(lines, truths, strict=True):
+        seconds, nanoseconds = line[0].split(".")
+        assert int(seconds) * 10**9 + int(nanoseconds) == truth.stamp_ns
+        camera = -truth.pose.R.T @ truth.pose.t
+        assert np.linalg.norm(np.array(line[1:4], float) - camera) < 0.01 * np.linalg.norm(camera)
+
+
+def test_twice_the_same(bag: Path, clean: Path, parameters: Parameters, tmp_path: Path) -> None:
+    replay([bag], tmp_path / "out", parameters)
+    assert [untimed(row) for row in rows(tmp_path / "out")] == [untimed(row) for row in rows(clean)]
+    for name in ("poses_poster.tum", "ambiguous.csv"):
+        assert (tmp_path / "out" / name).read_bytes() == (clean / name).read_bytes()
+
+
+def test_summary(clean: Path) -> None:
+    summary = json.loads((clean / "summary.json").read_text())
+    target = summary["targets"][0]
+    assert (summary["frames"], summary["rejected"], target["found"]) == (FRAMES, 0, FRAMES)
+    assert target["status"]["detected"] + target["status"]["tracked"] == FRAMES
+    assert 0 < target["corner_error_px"]["p50"] <= target["corner_error_px"]["p95"] < 0.5
+    assert target["rotation_error_deg"]["p50"] < 0.5
+    assert target["translation_error_percent"]["p50"] < 0.5
+    assert summary["rate_in_hz"] == pytest.approx(15, rel=1e-6)
+    assert set(summary["stage_ms"]) <= {stage.value for stage in Stage}
+    assert summary["parameters"]["targets.names"] == ["poster"]
+    assert {"imgu_ros", "numpy", "opencv", "rosbags"} <= set(summary["versions"])
+    assert summary["source"]["image_topic"] == IMAGE
+
+
+def test_unreadable_frames_become_rows_beside_the_others(
+    rewritten: Callable[..., Path], clean: Path, parameters: Parameters, tmp_path: Path
+) -> None:
+    damage = {
+        1: {"encoding": "no_such_encoding"},
+        2: {"data": np.zeros(100, np.uint8)},
+        3: {"step": 7},
+    }
+
+    def change(index: int, message: Any) -> Any:
+        return with_fields(message, **damage[index]) if hasattr(message, "encoding") and index in damage else message
+
+    said: list[str] = []
+    summary = replay([rewritten(change)], tmp_path / "out", parameters, on_warning=said.append)
+    got, before = rows(tmp_path / "out"), rows(clean)
+    assert [row["status"] == "rejected" for row in got] == [False, True, True, True, False]
+    assert untimed(got[0]) == untimed(before[0])
+    # A tracker may remember other frames: the last one is equal to within what it was given.
+    H, H_before = (np.array([float(rows_[4][f"h{i}{j}"]) for i in "123" for j in "123"]) for rows_ in (got, before))
+    assert np.abs(H - H_before).max() < 1e-4
+    for index in damage:
+        assert [got[index][n] for n in ("stamp_ns", "frame_id", "target")] == [
+            before[index][n] for n in ("stamp_ns", "frame_id", "target")
+        ]
+        assert not any(got[index][name] for name in COLUMNS[4:])
+    assert summary.rejected == 3
+    assert {reason.status for reason in summary.reasons} == {"rejected"}
+    assert len([text for text in said if "no_such_encoding" in text]) == 1
+    assert any("no_such_encoding" in reason.reason for reason in summary.reasons)
+
+
+def test_one_reason_is_said_once(rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path) -> None:
+    def change(index: int, message: Any) -> Any:
+        is_bad = hasattr(message, "encoding") and index > 0
+        return with_fields(message, data=message.data[: 1000 + index]) if is_bad else message
+
+    said: list[str] = []
+    summary = replay([rewritten(change)], tmp_path / "out", parameters, on_warning=said.append)
+    assert len(said) == 1
+    assert [reason.count for reason in summary.reasons] == [FRAMES - 1]
+
+
+def test_not_one_readable_frame_is_an_error_but_leaves_the_rows(
+    rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path
+) -> None:
+    def change(_: int, message: Any) -> Any:
+        return with_fields(message, width=0) if hasattr(message, "encoding") else message
+
+    with pytest.raises(BagError, match="not one of 5 frames"):
+        replay([rewritten(change)], tmp_path / "out", parameters)
+    assert [row["status"] for row in rows(tmp_path / "out")] == ["rejected"] * FRAMES
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("kind", ["no_camera_info", "zero_K"])
+def test_uncalibrated_is_said_once(
+    rewritten: Callable[..., Path], clean: Path, parameters: Parameters, tmp_path: Path, kind: str
+) -> None:
+    def change(_: int, message: Any) -> Any | None:
+        if not hasattr(message, "k"):
+            return message
+        return None if kind == "no_camera_info" else with_fields(message, k=np.zeros(9))
+
+    said: list[str] = []
+    replay([rewritten(change)], tmp_path / "out", parameters, on_warning=said.append)
+    got = rows(tmp_path / "out")
+    assert [row["pose_status"] for row in got] == ["uncalibrated"] * FRAMES
+    assert np.allclose([float(row["h13"]) for row in got], [float(row["h13"]) for row in rows(clean)], atol=1e-4)
+    assert not any(row["tx"] or row["c11"] for row in got)
+    assert len([text for text in said if text.startswith("uncalibrated")]) == 1
+    assert (tmp_path / "out" / "poses_poster.tum").read_text() == ""
+
+
+@pytest.mark.parametrize("field", [{"k": np.full(9, np.nan)}, {"width": 100, "height": 100}])
+def test_bad_camera_info_rejects_its_frame(
+    rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path, field: dict[str, object]
+) -> None:
+    def change(index: int, message: Any) -> Any:
+        return with_fields(message, **field) if hasattr(message, "k") and index == 2 else message
+
+    summary = replay([rewritten(change)], tmp_path / "out", parameters)
+    assert [row["status"] == "rejected" for row in rows(tmp_path / "out")] == [False, False, True, False, False]
+    assert "camera_info" in summary.reasons[0].reason
+
+
+def test_overwrite_rules(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("kept")
+    (out / "poses_old.tum").write_text("stale")
+    with pytest.raises(FileError, match=r"not empty.*--overwrite"):
+        replay([bag], out, parameters)
+    assert sorted(path.name for path in out.iterdir()) == ["mine.txt", "poses_old.tum"]
+    replay([bag], out, parameters, overwrite=True)
+    replay([bag], out, parameters, overwrite=True)
+    assert (out / "mine.txt").read_text() == "kept"
+    assert not (out / "poses_old.tum").exists()
+
+
+def test_never_removes_what_it_is_to_read(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(bag, out / "results")
+    with pytest.raises(FileError, match="to be read"):
+        replay([out / "results"], out, parameters, overwrite=True)
+    (out / "results" / "mine.txt").touch()
+    with pytest.raises(FileError, match="more than a bag"):
+        replay([bag], out, parameters, overwrite=True)
+
+
+def test_failures_leave_no_folder_behind(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for call in (
+        lambda: replay([bag], out, Parameters()),
+        lambda: replay([tmp_path / "no_such_bag"], out, parameters),
+        lambda: replay([bag], out, parameters, truth=tmp_path / "no_truth.csv"),
+        lambda: replay([bag], out, parameters, record=["keypoint"]),
+    ):
+        with pytest.raises((ParameterError, BagError, FileError)):
+            call()
+    assert not out.exists()
+
+
+def test_truth_of_another_bag_is_said(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    lines = (bag / "truth.csv").read_text().replace(",poster,", ",other,")
+    (tmp_path / "truth.csv").write_text(lines)
+    summary = replay([bag], tmp_path / "out", parameters, truth=tmp_path / "truth.csv")
+    assert any("its targets: other" in text for text in summary.warnings)
+    assert summary.targets[0].corner_error_px is None
+
+
+def test_chooses_the_first_topic_that_it_can_read(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    mixed = tmp_path / "mixed"
+    with open_bag([bag]) as source, BagWriter(mixed) as writer:
+        for message in source.messages():
+            if message.topic == IMAGE:
+                bad = with_fields(message.message, encoding="proprietary")
+                writer.write("/a/image", bad, message.time_ns)
+            writer.write(message.topic, message.message, message.time_ns)
+    summary = replay([mixed], tmp_path / "out", parameters)
+    assert summary.source.image_topic == IMAGE
+    assert any("several image topics" in text for text in summary.warnings)
+    named = parameters_from({"image_topic": "/a/image"}, parameters)
+    with pytest.raises(BagError, match="/a/image"):
+        replay([mixed], tmp_path / "named", named)
+
+
+def test_empty_image_topic(parameters: Parameters, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/chatter", make_message("std_msgs/msg/String", data="hello"), 1)
+    with pytest.raises(BagError, match="no image topic"):
+        replay([tmp_path / "bag"], tmp_path / "out", parameters)
