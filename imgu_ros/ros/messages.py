@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import difflib
 import importlib
 from collections.abc import Callable
@@ -30,7 +29,15 @@ def make_message(type_name: str, /, **fields: object) -> Any:
         if name not in known:
             nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
             raise EncodingError(f"{type_name}: no field {name!r}; nearest known: {', '.join(nearest) or 'none'}")
-    return message_class(type_name)(**{name: known[name](value) for name, value in fields.items()})
+    values = {name: known[name](value) for name, value in fields.items()}
+    arrays = {name: value for name, value in values.items() if isinstance(value, memoryview)}
+    message = message_class(type_name)(**{name: value for name, value in values.items() if name not in arrays})
+    for name, content in arrays.items():
+        # The constructor and the setter would each copy once more.
+        array = getattr(message, name)
+        del array[:]
+        array.frombytes(content)
+    return message
 
 
 @cache
@@ -88,7 +95,7 @@ def _converter(name: str, field_type: str) -> Callable[[Any], Any]:
     if field_type.startswith("sequence<"):
         element = field_type.removeprefix("sequence<").removesuffix(">").partition(",")[0]
         code = _TYPE_CODES.get(element)
-        return _same if code is None else lambda values: _to_array(name, values, code)
+        return _same if code is None else lambda values: _to_bytes(name, values, code)
     element, bracket, length = field_type.partition("[")
     if bracket and element in _TYPE_CODES:
         return lambda values: _to_fixed(name, values, _TYPE_CODES[element], int(length.removesuffix("]")))
@@ -99,11 +106,9 @@ def _same(value: Any) -> Any:
     return value
 
 
-def _to_array(name: str, values: Any, code: str) -> array.array[Any]:
-    """Copy once, as bytes: assigning the numpy array itself would check and copy element by element."""
-    out = array.array(code)
-    out.frombytes(memoryview(_checked(name, values, code)).cast("B") if len(values) else b"")
-    return out
+def _to_bytes(name: str, values: Any, code: str) -> memoryview:
+    """Return the bytes of an array: assigning the array itself would copy it element by element."""
+    return _checked(name, values, code).view(np.uint8).data
 
 
 def _to_fixed(name: str, values: Any, code: str, length: int) -> Any:

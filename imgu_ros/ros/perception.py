@@ -19,6 +19,7 @@ from imgu_ros.ros.diagnostics import NodeState, health
 from imgu_ros.ros.input import ImageInput, Job
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.outputs import Outputs
+from imgu_ros.ros.parameter_sections import files_without_section
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.process import run_node
 from imgu_ros.ros.qos import QosCounters, output_qos
@@ -38,7 +39,14 @@ def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
     ImguError
         If the node cannot start: a bad parameter, a target that cannot be used, a missing package.
     """
-    return run_node(lambda: PerceptionNode(stop), ros_arguments, stop)
+
+    def make_node() -> PerceptionNode:
+        node = PerceptionNode(stop)
+        for line in files_without_section(ros_arguments, node.get_fully_qualified_name()):
+            node.get_logger().warning(line)
+        return node
+
+    return run_node(make_node, ros_arguments, stop)
 
 
 class PerceptionNode(LifecycleNode):
