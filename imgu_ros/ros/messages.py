@@ -108,7 +108,8 @@ def _same(value: Any) -> Any:
 
 def _to_bytes(name: str, values: Any, code: str) -> memoryview:
     """Return the bytes of an array: assigning the array itself would copy it element by element."""
-    return _checked(name, values, code).view(np.uint8).data
+    content: memoryview = _checked(name, values, code).view(np.uint8).data
+    return content
 
 
 def _to_fixed(name: str, values: Any, code: str, length: int) -> Any:
