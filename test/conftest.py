@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import random
 import re
+import shutil
 import socket
+import tempfile
 from collections import Counter
 from pathlib import Path
 
@@ -15,6 +17,9 @@ from hypothesis import settings
 # Before any test imports rclpy or starts a process: nothing leaves this machine.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_STATIC_PEERS", None)
+# rclpy writes logs: not into the user's home.
+_LOGS = tempfile.mkdtemp(prefix="imgu_test_logs_")
+os.environ["ROS_LOG_DIR"] = _LOGS
 # Plots are drawn into files, never on a screen.
 os.environ["MPLBACKEND"] = "Agg"
 
@@ -65,6 +70,11 @@ def free_domain() -> int:
                 continue
             return domain
     pytest.fail("every ROS domain is in use on this machine")
+
+
+def pytest_unconfigure() -> None:
+    """Remove the logs."""
+    shutil.rmtree(_LOGS, ignore_errors=True)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -206,3 +206,13 @@ def test_everything_but_the_nodes_imports_without_ros() -> None:
     code = BLOCKED_IMPORTS.format(blocked=blocked, skipped="imgu_ros.ros.")
     done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+HEAVY = {"cv2", "jinja2", "matplotlib", "numpy", "rclpy", "rosbags", "scipy", "tqdm", "yaml"}
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = f"import sys; from imgu_ros.cli.main import main; main(['--help']); print({HEAVY} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "set()"
