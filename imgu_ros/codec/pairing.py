@@ -8,7 +8,8 @@ runs ahead of the other by more than the hold depth:
 - A camera_info with the image's stamp is its match. Of several with one stamp the last to arrive counts.
 - An image without a match waits, until its match arrives; or a camera_info with a later stamp, since then its own was
   lost; or `hold` more images. In the last two cases it falls back to the camera_info with the latest stamp before its
-  own, or to none when there is no earlier one.
+  own; where there is none (a recording that starts between the two, stamps of different clocks) to the first after
+  it; and to none when no camera_info has come at all.
 - After `_PATIENCE` images in a row without a match (camera_info latched, sent at a lower rate, or not at all) images
   no longer wait, so that they are not late for nothing; the first match, or a camera_info that comes just after its
   image, ends that.
@@ -123,7 +124,7 @@ class Pairing(Generic[ImageT, InfoT]):
             if not matched and len(self._waiting) <= depth and not self._is_overtaken(head.stamp_ns):
                 break
             self._waiting.popleft()
-            camera_info = self._infos[head.stamp_ns] if matched else self._latest_before(head.stamp_ns)
+            camera_info = self._infos[head.stamp_ns] if matched else self._nearest(head.stamp_ns)
             self._count(head.stamp_ns, matched)
             pairs.append(Pair(head.stamp_ns, head.image, camera_info, matched))
         return pairs
@@ -131,9 +132,12 @@ class Pairing(Generic[ImageT, InfoT]):
     def _is_overtaken(self, stamp_ns: int) -> bool:
         return any(info_ns > stamp_ns for info_ns in self._infos)
 
-    def _latest_before(self, stamp_ns: int) -> InfoT | None:
+    def _nearest(self, stamp_ns: int) -> InfoT | None:
+        """Return the latest camera_info before a stamp, else the first after it, else None."""
+        if not self._infos:
+            return None
         earlier = [info_ns for info_ns in self._infos if info_ns < stamp_ns]
-        return self._infos[max(earlier)] if earlier else None
+        return self._infos[max(earlier) if earlier else min(self._infos)]
 
     def _count(self, stamp_ns: int, matched: bool) -> None:
         if matched:

@@ -56,8 +56,19 @@ def test_a_later_camera_info_ends_the_wait():
     pairing: Pairing[int, int] = Pairing()
     assert pairing.add_image(10, 10) == []
     (pair,) = pairing.add_camera_info(11, 11)
-    assert pair.camera_info is None, "nothing earlier: uncalibrated, though a later one is known"
+    assert pair.camera_info == 11, "nothing earlier: the first after it"
     assert not pair.matched
+
+
+def test_images_without_stamps_get_a_camera_info():
+    pairing: Pairing[int, int] = Pairing()
+    pairs = [pair for n in range(1, 30) for pair in (*pairing.add_camera_info(n, n), *pairing.add_image(0, n))]
+    assert len(pairs) == 29
+    assert {pair.camera_info for pair in pairs} == {1}
+
+
+def test_no_camera_info_at_all():
+    assert run("i1 i2 i3 i4") == [(1, None), (2, None), (3, None), (4, None)]
 
 
 def test_camera_info_published_once():
@@ -95,7 +106,7 @@ def test_repeated_stamps_pair_with_the_last_camera_info():
 
 
 def test_camera_info_out_of_order():
-    assert run("i1 i2 c2 c1 i3 c3") == [(1, None), (2, 2), (3, 3)]
+    assert run("i1 i2 c2 c1 i3 c3") == [(1, 2), (2, 2), (3, 3)]
     assert run("c2 c1 i1 i2 c3 i3") == [(1, 1), (2, 2), (3, 3)]
 
 
