@@ -37,11 +37,10 @@ def decode_compressed_image(message: Any) -> RawImage:
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise EncodingError(
-            f"compressed image: {error.err or 'damaged data'}; need a JPEG or PNG that decodes"
-        ) from None
+        cause = " ".join((error.err or "damaged data").split())
+        raise EncodingError(f"compressed image: {cause}; need a JPEG or PNG that decodes") from None
     if pixels is None or pixels.size == 0:
-        raise EncodingError(f"compressed image: {len(data)} bytes that do not decode; need an undamaged JPEG or PNG")
+        raise EncodingError(f"compressed image: {len(data)} bytes that do not decode; need a JPEG or PNG that does")
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
     layout = _layout(pixels, _parse_format(str(message.format)))
