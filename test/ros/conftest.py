@@ -1,11 +1,172 @@
-"""Importing the ROS wheels warns of things that they do to themselves, once in a process."""
+"""What the live tests share: a domain for each module, processes that always end, and a peer on the same graph."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
 import warnings
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
 
 with warnings.catch_warnings():
+    # Importing the ROS wheels warns of things that they do to themselves, once in a process.
     warnings.simplefilter("ignore")
     with contextlib.suppress(ImportError):  # the tests say that they skip
         import rosidl_generator_py  # noqa: F401
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+class Command:
+    """An `imgu` command in a process of its own; its output is kept."""
+
+    def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "imgu_ros.cli.main", *arguments],
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=REPOSITORY,
+        )  # fmt: skip
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def text(self) -> str:
+        return "".join(self.lines)
+
+    def wait_for_line(self, part: str, timeout_s: float = 20.0) -> None:
+        end = time.monotonic() + timeout_s
+        while part not in self.text:
+            assert self.process.poll() is None, f"ended with {self.process.returncode}:\n{self.text}"
+            assert time.monotonic() < end, f"no {part!r} in:\n{self.text}"
+            time.sleep(0.02)
+
+    def wait(self, timeout_s: float = 20.0) -> int:
+        code = self.process.wait(timeout_s)
+        self._reader.join(2)
+        return code
+
+    def stop(self, number: signal.Signals = signal.SIGINT) -> float:
+        """End it by a signal; return how long that took."""
+        started = time.monotonic()
+        self.process.send_signal(number)
+        self.wait(10)
+        return time.monotonic() - started
+
+    def kill(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.wait(5)
+        if self.process.stdout:
+            self.process.stdout.close()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        with contextlib.suppress(ValueError):
+            self.lines.extend(iter(self.process.stdout.readline, ""))
+
+
+class Peer:
+    """A node of the test itself: hears, publishes and calls."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.node = Node("peer", context=self.context, enable_rosout=False, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.heard: dict[str, list[Any]] = defaultdict(list)
+        self._subscriptions: dict[str, Any] = {}
+
+    def hear(self, topic: str, type_name: str) -> None:
+        from imgu_ros.ros.messages import message_class
+        from imgu_ros.ros.qos import output_qos
+
+        self._subscriptions[topic] = self.node.create_subscription(
+            message_class(type_name), topic, self.heard[topic].append, output_qos(50)
+        )
+
+    def unhear(self, topic: str) -> None:
+        self.node.destroy_subscription(self._subscriptions.pop(topic))
+
+    def publisher(self, topic: str, type_name: str, qos: Any = None) -> Any:
+        from imgu_ros.ros.messages import message_class
+        from imgu_ros.ros.qos import output_qos
+
+        return self.node.create_publisher(message_class(type_name), topic, qos or output_qos(10))
+
+    def wait(self, condition: Callable[[], object], what: str, timeout_s: float = 15.0) -> None:
+        end = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = 15.0) -> Any:
+        client = self.node.create_client(service_type, name)
+        try:
+            self.wait(client.service_is_ready, f"service {name}", timeout_s)
+            future = client.call_async(request)
+            self.wait(future.done, f"answer of {name}", timeout_s)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def domain(request: pytest.FixtureRequest) -> int:
+    """A ROS domain for the whole module."""
+    plugins = request.config.pluginmanager.get_plugins()
+    return int(next(plugin.free_domain for plugin in plugins if hasattr(plugin, "free_domain"))())
+
+
+@pytest.fixture(scope="module")
+def environment(domain: int) -> dict[str, str]:
+    """Environment of processes on the module's domain."""
+    path = os.pathsep.join(part for part in (str(REPOSITORY), os.environ.get("PYTHONPATH")) if part)
+    return {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
+
+
+@pytest.fixture
+def imgu(environment: dict[str, str]) -> Iterator[Callable[..., Command]]:
+    """Starts `imgu` commands; whatever still runs at the end is killed."""
+    started: list[Command] = []
+
+    def start(*arguments: str) -> Command:
+        started.append(Command(list(arguments), environment))
+        return started[-1]
+
+    yield start
+    for command in started:
+        command.kill()
+
+
+@pytest.fixture
+def peer(domain: int) -> Iterator[Peer]:
+    """A node of the test itself on the module's domain."""
+    pytest.importorskip("rclpy", reason="needs the ros extra")
+    made = Peer(domain)
+    yield made
+    made.close()

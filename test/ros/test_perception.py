@@ -1,0 +1,341 @@
+"""The node, live: what it publishes is what the chain computes, and nothing stops it but a signal."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+import cv2
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+
+from imgu_ros.codec.camera_info import camera_info_message
+from imgu_ros.codec.features import decode_homographies
+from imgu_ros.codec.header import Header, decode_header
+from imgu_ros.codec.image import decode_image, image_message
+from imgu_ros.codec.results import target_odometry_message, target_pose_message
+from imgu_ros.params import parameters_from
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.result import Result
+from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.qos import image_qos
+from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
+
+IMAGE = "sensor_msgs/msg/Image"
+INFO = "sensor_msgs/msg/CameraInfo"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+ODOMETRY = "nav_msgs/msg/Odometry"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+@dataclass(frozen=True)
+class World:
+    """A short sequence with its target on disk, and what the chain makes of it offline."""
+
+    target: Path
+    frames: tuple[Frame, ...]
+    results: tuple[Result, ...]
+
+    @property
+    def arguments(self) -> list[str]:
+        return ["-p", f"targets.images:=[{self.target}]", "-p", "targets.widths_m:=[0.5]"]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> World:
+    folder = tmp_path_factory.mktemp("world")
+    target = default_targets(1, seed=3, width_m=0.5)[0]
+    path = folder / "poster.png"
+    cv2.imwrite(str(path), target.pixels[:, :, ::-1])
+    simulation = Simulation(width=480, height=360, frames=4, seed=3)
+    frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [target]))
+    parameters = parameters_from({"targets.images": [str(path)], "targets.widths_m": [0.5]})
+    chain = Chain(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    results = tuple(chain.process(frame) for frame in frames)
+    assert all(result.targets[0].pose is not None for result in results)
+    return World(path, frames, results)
+
+
+class Camera:
+    """Publishes frames as a driver does: sensor-data QoS, an image and its camera_info."""
+
+    def __init__(self, peer: Any, base: str = "/cam") -> None:
+        self._peer = peer
+        self._image = peer.publisher(f"{base}/image_raw", IMAGE, image_qos())
+        self._info = peer.publisher(f"{base}/camera_info", INFO, image_qos())
+
+    def wait_for_node(self) -> None:
+        both = (self._image, self._info)
+        self._peer.wait(lambda: all(p.get_subscription_count() for p in both), "the node's subscriptions")
+        self._peer.spin(0.3)
+
+    @property
+    def is_subscribed(self) -> bool:
+        return bool(self._image.get_subscription_count())
+
+    def send(self, frame: Frame, encoding: str = "bayer_rggb8", K_zero: bool = False, **changes: Any) -> None:
+        header = Header(frame.stamp_ns, frame.frame_id)
+        image = image_message(make_message, header, frame.image.pixels, "bayer_rggb8")
+        image.encoding = encoding
+        for name, value in changes.items():
+            setattr(image, name, value)
+        assert frame.camera is not None
+        info = camera_info_message(make_message, header, frame.camera)
+        if K_zero:
+            info.k = np.zeros(9)
+        self._info.publish(info)
+        self._image.publish(image)
+
+
+def values(message: Any, suffix: str) -> dict[str, str]:
+    entry = next(s for s in message.status if s.name.endswith(suffix))
+    return {v.key: v.value for v in entry.values} | {"message": entry.message}
+
+
+@pytest.fixture
+def node(imgu, world):
+    started = imgu("node", "perception", *world.arguments, "-r", "image_raw:=/cam/image_raw")
+    started.wait_for_line("targets: poster")
+    yield started
+    if started.process.poll() is None:
+        took = started.stop()
+        assert started.process.returncode == 0, started.text
+        assert took < 2
+    assert "Traceback" not in started.text
+
+
+def test_live_equals_offline_bit_for_bit(node, world, peer):
+    peer.hear("/pose", POSE)
+    peer.hear("/targets/poster/odom", ODOMETRY)
+    peer.hear("/homography", CLOUD)
+    camera = Camera(peer)
+    camera.wait_for_node()
+    for count, frame in enumerate(world.frames, 1):
+        camera.send(frame)
+        peer.wait(lambda n=count: len(peer.heard["/homography"]) == n, f"result {count}")
+    peer.wait(lambda: len(peer.heard["/targets/poster/odom"]) == len(world.frames), "odometry")
+    for index, result in enumerate(world.results):
+        expected = target_pose_message(make_message, result, result.targets[0], "poster")
+        assert peer.heard["/pose"][index] == expected
+        assert peer.heard["/pose"][index].header == expected.header
+        odometry = target_odometry_message(make_message, result, result.targets[0], "poster")
+        assert peer.heard["/targets/poster/odom"][index] == odometry
+        row = decode_homographies(peer.heard["/homography"][index])[0]
+        assert np.array_equal(row["h"].reshape(3, 3), result.targets[0].homography.H)
+
+
+def test_every_output_carries_the_header_and_none_is_made_for_nobody(node, world, peer):
+    camera = Camera(peer)
+    peer.hear("/diagnostics", DIAGNOSTICS)
+    peer.wait(lambda: peer.heard["/diagnostics"], "diagnostics")
+    assert "idle: no subscribers" in values(peer.heard["/diagnostics"][-1], "output")["message"]
+    assert not camera.is_subscribed
+    outputs = {
+        "/image_color": IMAGE, "/image_mono": IMAGE, "/pyramid/level_0": IMAGE, "/debug_image": IMAGE,
+        "/debug_image/compressed": "sensor_msgs/msg/CompressedImage", "/keypoints": CLOUD, "/matches": CLOUD,
+        "/outline": "geometry_msgs/msg/PolygonStamped", "/targets/poster/pose": POSE, "/status": DIAGNOSTICS,
+    }  # fmt: skip
+    for topic, type_name in outputs.items():
+        peer.hear(topic, type_name)
+    peer.hear("/path", "nav_msgs/msg/Path")
+    camera.wait_for_node()
+    frame = world.frames[0]
+    camera.send(frame)
+    peer.wait(lambda: all(peer.heard[topic] for topic in [*outputs, "/path"]), "all outputs")
+    for topic in outputs:
+        assert decode_header(peer.heard[topic][0]) == Header(frame.stamp_ns, frame.frame_id), topic
+    assert np.array_equal(decode_image(peer.heard["/image_color"][0]).pixels, world.results[0].developed.color())
+    assert values(peer.heard["/status"][0], "poster")["status"] == "detected"
+    for topic in [*outputs, "/path"]:
+        peer.unhear(topic)
+    peer.wait(lambda: not camera.is_subscribed, "the end of the subscription")
+
+
+def test_bad_frames_are_said_and_do_not_stop_the_node(node, world, peer):
+    peer.hear("/status", DIAGNOSTICS)
+    peer.hear("/diagnostics", DIAGNOSTICS)
+    camera = Camera(peer)
+    camera.wait_for_node()
+    first, second, third, last = world.frames
+    for frame, changes in (
+        (first, {"encoding": "bayer_rgbg8"}),
+        (second, {"step": 7}),
+        (third, {"height": 0}),
+    ):
+        camera.send(frame, **changes)
+        count = len(peer.heard["/status"])
+        peer.wait(lambda n=count: len(peer.heard["/status"]) > n, f"status of a frame with {changes}")
+        assert values(peer.heard["/status"][-1], "poster")["status"] == "rejected"
+    camera.send(last, K_zero=True)
+    peer.wait(lambda: values(peer.heard["/status"][-1], "poster")["status"] == "detected", "a good frame")
+    assert values(peer.heard["/status"][-1], "poster")["pose_status"] == "uncalibrated"
+    peer.wait(lambda: values(peer.heard["/diagnostics"][-1], "input")["rejected"] == "3", "diagnostics")
+    assert values(peer.heard["/diagnostics"][-1], "input")["unknown_encodings"] == "1"
+    assert "bayer_rgbg8" in node.text
+    assert node.text.count("uncalibrated") == 1
+
+
+def test_reasons_when_nothing_comes(node, world, peer):
+    peer.hear("/diagnostics", DIAGNOSTICS)
+    peer.hear("/pose", POSE)
+
+    def said(text: str, timeout_s: float = 8.0) -> None:
+        def heard() -> bool:
+            return any(text in status.message for message in peer.heard["/diagnostics"] for status in message.status)
+
+        peer.wait(heard, text, timeout_s)
+        peer.heard["/diagnostics"].clear()
+
+    said("no publisher on /cam/image_raw")
+    wrong = peer.publisher("/cam/image_raw", INFO)
+    said("only sensor_msgs/msg/CameraInfo on /cam/image_raw")
+    peer.node.destroy_publisher(wrong)
+    Camera(peer)
+    said("no images on /cam/image_raw for")
+
+
+def test_services_and_parameters(node, world, peer):
+    peer.hear("/homography", CLOUD)
+    camera = Camera(peer)
+    refused = peer.call(Trigger, "/perception/set_target_from_view", Trigger.Request())
+    assert not refused.success
+    assert "no frame yet" in refused.message
+    camera.wait_for_node()
+    camera.send(world.frames[0])
+    peer.wait(lambda: peer.heard["/homography"], "a result")
+
+    reload_ = peer.call(Trigger, "/perception/reload", Trigger.Request())
+    assert reload_.success, reload_.message
+    assert "poster" in reload_.message
+    assert peer.call(Trigger, "/perception/reset", Trigger.Request()).success
+
+    request = SetParameters.Request()
+    request.parameters = [
+        Parameter("homography.threshold_px", value=1e9).to_parameter_msg(),
+        Parameter("homography.treshold_px", value=2.0).to_parameter_msg(),
+        Parameter("homography.threshold_px", value=2).to_parameter_msg(),
+        Parameter("publish_tf", value=True).to_parameter_msg(),
+    ]
+    results = peer.call(SetParameters, "/perception/set_parameters", request).results
+    assert [r.successful for r in results] == [False, False, True, False]
+    assert "need 0.1 to 100 px" in results[0].reason
+    assert "nearest known: homography.threshold_px" in results[1].reason
+    both = SetParametersAtomically.Request()
+    both.parameters = [
+        Parameter("keypoints.max_count", value=400).to_parameter_msg(),
+        Parameter("seed", value=-1).to_parameter_msg(),
+    ]
+    assert not peer.call(SetParametersAtomically, "/perception/set_parameters_atomically", both).result.successful
+    both.parameters = both.parameters[:1]
+    assert peer.call(SetParametersAtomically, "/perception/set_parameters_atomically", both).result.successful
+
+    # The chain is rebuilt between frames: the next result has the new number of keypoints.
+    peer.hear("/keypoints", CLOUD)
+    peer.spin(0.5)
+    camera.send(world.frames[1])
+    peer.wait(lambda: peer.heard["/keypoints"], "keypoints")
+    assert 0 < peer.heard["/keypoints"][0].width <= 400
+
+    images = SetParameters.Request()
+    images.parameters = [Parameter("targets.images", value=["/nowhere/x.png"]).to_parameter_msg()]
+    assert peer.call(SetParameters, "/perception/set_parameters", images).results[0].successful
+    refused = peer.call(Trigger, "/perception/reload", Trigger.Request())
+    assert not refused.success
+    assert "/nowhere/x.png" in refused.message
+
+    view = peer.call(Trigger, "/perception/set_target_from_view", Trigger.Request())
+    assert view.success, view.message
+    peer.hear("/targets/view/outline", "geometry_msgs/msg/PolygonStamped")
+    peer.spin(0.5)
+    camera.send(world.frames[2])
+    peer.wait(lambda: peer.heard["/targets/view/outline"], "the view as a target")
+
+    assert peer.call(SetBool, "/perception/pause", SetBool.Request(data=True)).success
+    peer.wait(lambda: not camera.is_subscribed, "pause")
+    assert peer.call(SetBool, "/perception/pause", SetBool.Request(data=False)).success
+    peer.wait(lambda: camera.is_subscribed, "the end of the pause")
+
+
+def test_lifecycle_by_hand_and_a_namespace(imgu, world, peer):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    node = imgu(
+        "node", "perception", *world.arguments, "-p", "autostart:=false",
+        "--ros-args", "-r", "__ns:=/robot", "-r", "__node:=eyes", "-r", "image_raw:=cam/image_raw",
+    )  # fmt: skip
+
+    def change(transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(peer.call(ChangeState, "/robot/eyes/change_state", request).success)
+
+    assert change(Transition.TRANSITION_CONFIGURE)
+    assert change(Transition.TRANSITION_ACTIVATE)
+    peer.hear("/robot/targets/poster/pose", POSE)
+    camera = Camera(peer, "/robot/cam")
+    camera.wait_for_node()
+    camera.send(world.frames[0])
+    peer.wait(lambda: peer.heard["/robot/targets/poster/pose"], "a pose")
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    peer.wait(lambda: not camera.is_subscribed, "deactivation")
+    assert change(Transition.TRANSITION_CLEANUP)
+    assert change(Transition.TRANSITION_CONFIGURE)
+    assert change(Transition.TRANSITION_ACTIVATE)
+    peer.wait(lambda: camera.is_subscribed, "activation")
+    assert node.stop(signal.SIGTERM) < 2
+    assert node.process.returncode == 0
+    assert "Traceback" not in node.text
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_busy_node(imgu, world, peer, number):
+    node = imgu("node", "perception", *world.arguments, "-r", "image_raw:=/cam/image_raw")
+    node.wait_for_line("targets: poster")
+    peer.hear("/debug_image", IMAGE)
+    camera = Camera(peer)
+    camera.wait_for_node()
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end or not peer.heard["/debug_image"]:
+        camera.send(world.frames[0])
+        peer.spin(0.01)
+        assert time.monotonic() < end + 10
+    assert node.stop(number) < 2
+    assert node.process.returncode == 0, node.text
+    assert "Traceback" not in node.text
+
+
+@pytest.mark.parametrize("delay_s", [0.5, 0.9])
+def test_a_signal_ends_a_node_that_starts(imgu, world, delay_s):
+    node = imgu("node", "perception", *world.arguments)
+    time.sleep(delay_s)
+    assert node.stop(signal.SIGTERM) < 2
+    assert node.process.returncode == 0, node.text
+    assert "Traceback" not in node.text
+
+
+def test_bad_qos_override_and_missing_tf_messages_are_refused(imgu, tmp_path):
+    file = tmp_path / "p.yaml"
+    file.write_text("/**: {ros__parameters: {qos_overrides: {/image_rw: {subscription: {depth: 2}}}}}\n")
+    node = imgu("node", "perception", "--params-file", str(file))
+    assert node.wait() == 1
+    assert "qos_overrides./image_rw.subscription.depth: unknown parameter" in node.text
+    assert "nearest known: qos_overrides./image_raw.subscription.depth" in node.text
+    try:
+        import tf2_msgs.msg  # noqa: F401
+    except ImportError:
+        node = imgu("node", "perception", "-p", "publish_tf:=true")
+        assert node.wait() == 1
+        assert "tf2_msgs" in node.text
+        assert "Traceback" not in node.text

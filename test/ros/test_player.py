@@ -1,0 +1,133 @@
+"""`imgu play`: what is heard is what was recorded, when it was recorded."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+import cv2
+
+from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.writing import BagWriter
+from imgu_ros.codec.camera_info import camera_info_message
+from imgu_ros.codec.header import Header, decode_header, header_message
+from imgu_ros.codec.image import image_message
+from imgu_ros.codec.results import target_pose_message
+from imgu_ros.params import parameters_from
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.ros.messages import make_message as make_ros_message
+from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
+
+IMAGE = "sensor_msgs/msg/Image"
+START_NS = 1_600_000_000_000_000_000
+PERIOD_NS = 50_000_000
+
+
+def write_bag(path: Path, count: int = 20, *, storage: str = "mcap", compression: str = "none") -> list[np.ndarray]:
+    rng = np.random.default_rng(1)
+    pictures = [rng.integers(0, 255, (48, 64), np.uint8) for _ in range(count)]
+    with BagWriter(path, storage, compression) as bag:
+        for index, pixels in enumerate(pictures):
+            time_ns = START_NS + index * PERIOD_NS
+            # A header that is not the time of recording: the player must not touch it.
+            header = Header(time_ns - 7_000_000, "camera")
+            bag.write("/cam/image_raw", image_message(make_message, header, pixels, "mono8"), time_ns)
+            if index == 0:
+                transform = make_message(
+                    "geometry_msgs/msg/TransformStamped", header=header_message(make_message, header)
+                )
+                tf = make_message("tf2_msgs/msg/TFMessage", transforms=[transform])
+                bag.write("/tf", tf, time_ns)
+    return pictures
+
+
+@pytest.mark.parametrize(("storage", "compression"), [("mcap", "zstd"), ("sqlite3", "zstd")])
+def test_messages_come_whole_in_order_and_in_time(imgu, peer, tmp_path, storage, compression):
+    pictures = write_bag(tmp_path / "bag", storage=storage, compression=compression)
+    times: list[float] = []
+    peer.hear("/cam/image_raw", IMAGE)
+    peer.hear("/clock", "rosgraph_msgs/msg/Clock")
+    heard = peer.heard["/cam/image_raw"]
+    play = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
+
+    def arrived() -> bool:
+        if len(heard) > len(times):
+            times.append(time.monotonic())
+        return len(heard) == len(pictures)
+
+    peer.wait(arrived, "all images", 20)
+    assert play.wait() == 0, play.text
+    for index, (message, pixels) in enumerate(zip(heard, pictures, strict=True)):
+        assert decode_header(message) == Header(START_NS + index * PERIOD_NS - 7_000_000, "camera")
+        assert np.array_equal(np.frombuffer(message.data, np.uint8).reshape(48, 64), pixels)
+    assert times[-1] - times[0] == pytest.approx((len(pictures) - 1) * PERIOD_NS * 1e-9, abs=0.2)
+    clocks = [c.clock.sec * 10**9 + c.clock.nanosec for c in peer.heard["/clock"]]
+    assert clocks == sorted(clocks)
+    assert clocks[0] >= START_NS
+    assert clocks[-1] == START_NS + (len(pictures) - 1) * PERIOD_NS
+    assert "/cam/image_raw 20" in play.text
+    if "tf2_msgs" in play.text:
+        assert "skipping /tf: tf2_msgs/msg/TFMessage is not installed" in play.text
+
+
+def test_part_of_a_bag_faster_remapped_and_again(imgu, peer, tmp_path):
+    write_bag(tmp_path / "bag")
+    peer.hear("/eye", IMAGE)
+    play = imgu(
+        "play", str(tmp_path / "bag"), "--wait-for", "1", "--rate", "4", "--start", "0.5", "--duration", "0.2",
+        "--loop", "--ros-args", "-r", "/cam/image_raw:=/eye",
+    )  # fmt: skip
+    peer.wait(lambda: len(peer.heard["/eye"]) >= 12, "three rounds")
+    stamps = [decode_header(message).stamp_ns for message in peer.heard["/eye"]]
+    expected = [START_NS + index * PERIOD_NS - 7_000_000 for index in range(10, 15)]
+    assert stamps[:10] == expected + expected
+    assert play.stop() < 2
+    assert play.process.returncode == 0
+    assert "Traceback" not in play.text
+
+
+def test_waiting_for_subscribers_is_bounded_and_can_be_stopped(imgu, tmp_path):
+    write_bag(tmp_path / "bag")
+    bounded = imgu("play", str(tmp_path / "bag"), "--wait-for", "1", "--timeout", "0.3")
+    unbounded = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
+    assert bounded.wait() == 1
+    assert "/cam/image_raw: 0 after 0.3 s; need 1" in bounded.text
+    assert "Traceback" not in bounded.text
+    assert unbounded.process.poll() is None
+    assert unbounded.stop() < 2
+    assert unbounded.process.returncode == 0, unbounded.text
+
+
+def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path):
+    target = default_targets(1, seed=5, width_m=0.5)[0]
+    cv2.imwrite(str(tmp_path / "poster.png"), target.pixels[:, :, ::-1])
+    simulation = Simulation(width=480, height=360, frames=4, rate_hz=1.0, seed=5)
+    frames = [simulated.frame for simulated in simulate_sequence(simulation, [target])]
+    with BagWriter(tmp_path / "bag") as bag:
+        for frame in frames:
+            header = Header(frame.stamp_ns, frame.frame_id)
+            image = image_message(make_message, header, frame.image.pixels, "bayer_rggb8")
+            bag.write("/cam/image_raw", image, frame.stamp_ns)
+            bag.write("/cam/camera_info", camera_info_message(make_message, header, frame.camera), frame.stamp_ns)
+    parameters = parameters_from({"targets.images": ["poster.png"], "targets.widths_m": [0.5]})
+    chain = Chain(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    results = [chain.process(frame) for frame in frames]
+
+    node = imgu(
+        "node", "perception", "-p", f"targets.images:=[{tmp_path / 'poster.png'}]", "-p", "targets.widths_m:=[0.5]",
+        "-r", "image_raw:=/cam/image_raw",
+    )  # fmt: skip
+    peer.hear("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+    play = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
+    peer.wait(lambda: len(peer.heard["/pose"]) == len(frames), "all poses", 30)
+    expected = [target_pose_message(make_ros_message, r, r.targets[0], "poster") for r in results]
+    assert peer.heard["/pose"] == expected
+    assert play.wait() == 0
+    assert node.stop() < 2
+    assert node.process.returncode == 0
