@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 
 HELP = "turn a raw image file into a colour image"
 
-_DTYPES = ("uint8", "uint16", "uint16le", "uint16be")
-_NUMPY_DTYPES = {"uint8": "u1", "uint16": "<u2", "uint16le": "<u2", "uint16be": ">u2"}
+_DTYPES = {"uint8": "uint8", "uint16": "<u2", "uint16le": "<u2", "uint16be": ">u2"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     raw = parser.add_argument_group("headerless input, row by row without padding")
     raw.add_argument("--width", type=int, metavar="PX")
     raw.add_argument("--height", type=int, metavar="PX")
-    raw.add_argument("--dtype", choices=_DTYPES, help="uint16 is little-endian")
+    raw.add_argument("--dtype", choices=tuple(_DTYPES), help="uint16 is little-endian")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -62,32 +61,15 @@ def _read_raw(arguments: argparse.Namespace) -> Image:
     if any(value is not None for value in headerless):
         if any(value is None for value in headerless):
             raise ParameterError("headerless input: got only some of --width, --height, --dtype; need all three")
-        return _read_headerless(arguments)
+        from imgu_ros.files.images import read_raw_image
+
+        return read_raw_image(arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype])
     from imgu_ros.files.images import read_image
 
     raw = read_image(arguments.input)
     if raw.ndim != 2 or raw.dtype.name not in ("uint8", "uint16"):
         raise FileError(f"{arguments.input}: shape {raw.shape}, {raw.dtype}; need a one-channel 8- or 16-bit image")
     return raw
-
-
-def _read_headerless(arguments: argparse.Namespace) -> Image:
-    import numpy as np
-
-    width, height = arguments.width, arguments.height
-    if width < 2 or height < 2:
-        raise ParameterError(f"--width, --height: {width} x {height}; need at least 2 x 2")
-    dtype = np.dtype(_NUMPY_DTYPES[arguments.dtype])
-    try:
-        size = arguments.input.stat().st_size
-        needed = width * height * dtype.itemsize
-        if size != needed:
-            shape = f"{width} x {height} {arguments.dtype} without a header"
-            raise FileError(f"{arguments.input}: {size} bytes; need {needed} for {shape}")
-        pixels = np.fromfile(arguments.input, dtype)
-    except OSError as error:
-        raise FileError(f"{arguments.input}: {error.strerror}; need a file that can be read") from None
-    return np.asarray(pixels.reshape(height, width).astype(dtype.newbyteorder("=")))
 
 
 def _check_levels(arguments: argparse.Namespace) -> None:

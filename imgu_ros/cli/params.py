@@ -42,8 +42,8 @@ def described(known: Declaration) -> str:
     if known.choices:
         notes.append("one of " + ", ".join(known.choices))
     if known.minimum is not None or known.maximum is not None:
-        low = "-inf" if known.minimum is None else f"{known.minimum:.10g}"
-        high = "inf" if known.maximum is None else f"{known.maximum:.10g}"
+        low = "-inf" if known.minimum is None else _number(known.minimum)
+        high = "inf" if known.maximum is None else _number(known.maximum)
         notes.append(f"{low} to {high}{' ' + known.unit if known.unit else ''}")
     elif known.unit:
         notes.append(known.unit)
@@ -63,3 +63,7 @@ def _value(value: object) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(_value(v) for v in value) + "]"
     return repr(value).replace("'", '"')
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if float(value).is_integer() else repr(value)

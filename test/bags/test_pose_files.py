@@ -44,7 +44,15 @@ def test_ambiguous_pose_gives_both_solutions_and_no_trajectory(tmp_path: Path) -
         got = list(csv.DictReader(file))
     assert [row["solution"] for row in got] == ["1", "2"]
     assert got[0]["frame_id"] == "cam,era"
-    assert [float(got[0][name]) for name in ("rms_px", "tx", "ty", "tz", "c11", "c66", "c12")] == [0.5, 1, 2, 3, 1, 6, 0]
+    assert [float(got[0][name]) for name in ("rms_px", "tx", "ty", "tz", "c11", "c66", "c12")] == [
+        0.5,
+        1,
+        2,
+        3,
+        1,
+        6,
+        0,
+    ]
 
 
 def test_unwritable(tmp_path: Path) -> None:

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imgu_ros.cli.main import main
+from imgu_ros.files.images import read_image, write_image
+from imgu_ros.params import declaration
+from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
+
+COLOR = (10, 20, 30)
+
+
+def raw_of(dtype: str, scale: int, pattern: str = "rggb") -> np.ndarray:
+    flat = np.broadcast_to(np.array(COLOR, dtype) * np.array(scale, dtype), (8, 12, 3))
+    return mosaic(np.ascontiguousarray(flat), BayerPattern(pattern))
+
+
+@pytest.mark.parametrize("method", declaration("demosaic.method").choices)
+@pytest.mark.parametrize("pattern", list(BayerPattern))
+def test_a_flat_colour_stays(tmp_path: Path, method: str, pattern: str) -> None:
+    write_image(tmp_path / "raw.png", raw_of("uint8", 5, pattern))
+    argv = ["demosaic", str(tmp_path / "raw.png"), str(tmp_path / "rgb.png"), "--pattern", pattern, "--method", method]
+    assert main(argv) == 0
+    rgb = read_image(tmp_path / "rgb.png")
+    assert rgb.dtype == np.uint8
+    assert np.array_equal(rgb, np.broadcast_to(np.array(COLOR, np.uint8) * np.uint8(5), (8, 12, 3)))
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("raw.pgm", "uint16"), ("raw.tiff", "uint16"), ("raw.png", "uint16")])
+def test_depth_is_kept(tmp_path: Path, name: str, dtype: str) -> None:
+    write_image(tmp_path / name, raw_of(dtype, 1000))
+    assert main(["demosaic", str(tmp_path / name), str(tmp_path / "rgb.png"), "--pattern", "rggb"]) == 0
+    rgb = read_image(tmp_path / "rgb.png")
+    assert rgb.dtype == np.uint16
+    assert np.array_equal(np.unique(rgb.reshape(-1, 3), axis=0), [[10000, 20000, 30000]])
+
+
+@pytest.mark.parametrize(("dtype", "stored"), [("uint16", "<u2"), ("uint16be", ">u2"), ("uint8", "u1")])
+def test_headerless(tmp_path: Path, dtype: str, stored: str) -> None:
+    raw = raw_of("uint8", 5)
+    raw.astype(stored).tofile(tmp_path / "raw.bin")
+    options = ["--pattern", "rggb", "--width", "12", "--height", "8", "--dtype", dtype]
+    assert main(["demosaic", str(tmp_path / "raw.bin"), str(tmp_path / "rgb.png"), *options]) == 0
+    assert np.array_equal(read_image(tmp_path / "rgb.png")[4, 6], [50, 100, 150])
+
+
+def test_levels_and_gains(tmp_path: Path) -> None:
+    # (value - 100) / (1100 - 100) of full scale, then the gain; by hand.
+    write_image(tmp_path / "raw.pgm", np.full((8, 8), 300, np.uint16))
+    options = ["--pattern", "bggr", "--black", "100", "--white", "1100", "--gains", "2,1,0.5"]
+    assert main(["demosaic", str(tmp_path / "raw.pgm"), str(tmp_path / "rgb.png"), *options]) == 0
+    assert np.abs(read_image(tmp_path / "rgb.png")[4, 4] - 65535 * np.array([0.4, 0.2, 0.1])).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--white", "50", "--black", "60"], "need more than --black"),
+        (["--white", "300"], "at most the largest uint8"),
+        (["--black", "-1"], "need 0 to 65535"),
+        (["--width", "8"], "need all three"),
+        (["--width", "8", "--height", "9", "--dtype", "uint8"], "bytes"),
+        (["--width", "0", "--height", "9", "--dtype", "uint8"], "at least 1 x 1"),
+    ],
+)
+def test_bad_options_are_one_line(
+    tmp_path: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_image(tmp_path / "raw.png", raw_of("uint8", 5))
+    argv = ["demosaic", str(tmp_path / "raw.png"), str(tmp_path / "rgb.png"), "--pattern", "rggb", *options]
+    assert main(argv) == 1
+    err = capsys.readouterr().err
+    assert err.startswith("imgu: error: ")
+    assert err.count("\n") == 1
+    assert said in err
+    assert not (tmp_path / "rgb.png").exists()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\x00random\xff" * 50])
+def test_bad_files_are_one_line(tmp_path: Path, content: bytes | None, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "raw.png"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["demosaic", str(path), str(tmp_path / "rgb.png"), "--pattern", "rggb"]) == 1
+    err = capsys.readouterr().err
+    assert "raw.png" in err
+    assert err.count("\n") == 1
+
+
+def test_a_colour_image_is_no_mosaic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_image(tmp_path / "rgb.png", np.zeros((8, 8, 3), np.uint8))
+    assert main(["demosaic", str(tmp_path / "rgb.png"), str(tmp_path / "out.png"), "--pattern", "rggb"]) == 1
+    assert "one-channel" in capsys.readouterr().err

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from imgu_ros.cli import main as main_module
+from imgu_ros.cli.main import COMMANDS, main
+from imgu_ros.errors import ParameterError
+
+HEAVY = ("numpy", "scipy", "cv2", "matplotlib", "jinja2", "tqdm", "rclpy", "rosbags", "yaml")
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch):
+    """Install a command `fake` whose run raises or returns what the test says."""
+
+    def install(outcome: object) -> None:
+        def run(_: object) -> int:
+            if isinstance(outcome, BaseException):
+                raise outcome
+            return outcome
+
+        module = SimpleNamespace(HELP="a fake", __doc__="A fake.", add_arguments=lambda parser: None, run=run)
+        monkeypatch.setitem(main_module.COMMANDS, "fake", "fake_module")
+        monkeypatch.setitem(sys.modules, "fake_module", module)
+
+    return install
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"    {name} " in out for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    assert f"imgu {name}" in capsys.readouterr().out
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from imgu_ros.cli.main import main; main(['--help']); "
+        f"sys.exit(' '.join(m for m in {HEAVY} if m in sys.modules) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("imgu_ros ")
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        ([], "usage: imgu"),
+        (["--no-such-option"], "unrecognized arguments"),
+        (["replya"], "did you mean replay?"),
+        (["replay"], "required"),
+        (["replay", "bag", "--ou", "x"], "--out"),
+        (["demosaic", "a", "b", "--pattern", "rgbg"], "invalid choice"),
+        (["demosaic", "a", "b", "--pattern", "rggb", "--gains", "1,2"], "need three numbers"),
+    ],
+)
+def test_wrong_usage_exits_2(argv: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(argv) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_an_error_is_one_line(command, capsys: pytest.CaptureFixture[str]) -> None:
+    command(ParameterError("a.b: 3;\nneed 4"))
+    assert main(["fake"]) == 1
+    assert capsys.readouterr().err == "imgu: error: a.b: 3; need 4\n"
+
+
+def test_a_system_error_with_a_file_is_one_line(command, capsys: pytest.CaptureFixture[str]) -> None:
+    command(PermissionError(13, "Permission denied", "/some/file"))
+    assert main(["fake"]) == 1
+    assert capsys.readouterr().err == "imgu: error: /some/file: Permission denied\n"
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ModuleNotFoundError("No module named 'rclpy'", name="rclpy"),
+        ImportError("librmw_fastrtps_cpp.so: cannot open shared object file"),
+    ],
+)
+def test_without_the_ros_extra(command, error: ImportError, capsys: pytest.CaptureFixture[str]) -> None:
+    command(error)
+    assert main(["fake"]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert 'pip install "imgu_ros[ros]"' in err
+
+
+def test_a_bug_keeps_its_traceback(command) -> None:
+    command(ModuleNotFoundError("No module named 'imgu_ros.nothing'", name="imgu_ros.nothing"))
+    with pytest.raises(ModuleNotFoundError):
+        main(["fake"])
+
+
+def test_interrupt(command, capsys: pytest.CaptureFixture[str]) -> None:
+    command(KeyboardInterrupt())
+    assert main(["fake"]) == 130
+    assert capsys.readouterr().err == "imgu: interrupted\n"
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as closed:
+        done = subprocess.run(
+            [sys.executable, "-m", "imgu_ros.cli.main", "params"],
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+        )
+    assert (done.returncode, done.stderr) == (141, "")
