@@ -12,9 +12,6 @@ from rosbags.typesys.msg import normalize_msgtype
 from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds
 from imgu_ros.errors import BagError
 
-#: Rows whose place and time are fetched at once; their data are fetched one by one.
-_ROWS = 10_000
-
 
 class SqliteStorage:
     """A SQLite file of rosbag2, of any of its schema versions.
@@ -70,7 +67,8 @@ class SqliteStorage:
         self._database.close()
 
     def _channels(self) -> dict[int, Channel]:
-        tables = {_text(name) for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        query = "SELECT name FROM sqlite_master WHERE type = 'table'"
+        tables = {_text(name) for (name,) in self._database.execute(query)}
         missing = {"topics", "messages"} - tables
         if missing:
             raise BagError(f"{self._path}: no table {sorted(missing)[0]!r}; need rosbag2's tables topics and messages")
@@ -115,10 +113,9 @@ class SqliteStorage:
         cursor = self._database.cursor()
         try:
             cursor.execute(f"SELECT id, topic_id, timestamp FROM messages ORDER BY {self._order}")
-            while rows := cursor.fetchmany(_ROWS):
-                for row, identity, time_ns in rows:
-                    if type(identity) is int and type(time_ns) is int and 0 <= time_ns <= MAX_TIME_NS:
-                        yield row, identity, time_ns
+            for row, identity, time_ns in cursor:  # not fetchmany: it loses the rows before a missing page
+                if type(identity) is int and type(time_ns) is int and 0 <= time_ns <= MAX_TIME_NS:
+                    yield row, identity, time_ns
         except sqlite3.DatabaseError as error:
             self._warnings.add(f"{self._name}: cut short or damaged ({error}): what could be read was read")
         finally:

@@ -132,27 +132,27 @@ def merge_by_time(parts: Iterable[Part]) -> Iterator[RawMessage]:
 
     A part is opened when its turn comes, so that only parts that overlap in time are in memory together.
     """
-    waiting = sorted(parts, key=lambda part: part.start_ns, reverse=True)
+    waiting = sorted(enumerate(parts), key=lambda numbered: numbered[1].start_ns)
+    waiting.reverse()  # taken from the end
     heap: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
-    opened = 0
     while waiting or heap:
-        while waiting and (not heap or waiting[-1].start_ns <= heap[0][0]):
-            source = waiting.pop().open()
+        while waiting and (not heap or waiting[-1][1].start_ns <= heap[0][0]):
+            number, part = waiting.pop()
+            source = part.open()
             first = next(source, None)
             if first is not None:
-                heapq.heappush(heap, (first.time_ns, opened, first, source))
-            opened += 1
+                heapq.heappush(heap, (first.time_ns, number, first, source))
         if not heap:
             continue
-        _, order, message, source = heap[0]
+        _, number, message, source = heap[0]
         following = next(source, None)
         if following is None:
             heapq.heappop(heap)
         else:
-            heapq.heapreplace(heap, (following.time_ns, order, following, source))
+            heapq.heapreplace(heap, (following.time_ns, number, following, source))
         yield message
 
 
 def seconds(time_ns: int) -> str:
     """Return a time as warnings give it."""
-    return f"{time_ns // 10**9}.{time_ns % 10**9 // 10**6:03d} s"
+    return f"{time_ns // 10**9}.{time_ns % 10**9:09d} s"
