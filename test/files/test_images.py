@@ -1,0 +1,194 @@
+"""Image files against hand-made bytes, round trips, and bad input."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.files.images import read_image, read_raw_image, write_image
+
+
+def png(width: int, height: int, depth: int, color: int, rows: bytes) -> bytes:
+    """A PNG by its specification; `rows` without filter bytes."""
+    stride = len(rows) // height
+    filtered = b"".join(b"\0" + rows[i * stride : (i + 1) * stride] for i in range(height))
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)),
+        (b"IDAT", zlib.compress(filtered)),
+        (b"IEND", b""),
+    ]
+    packed = [struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+def be16(*values: int) -> bytes:
+    return np.array(values, ">u2").tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "expected"),
+    [
+        ("a.pgm", b"P5\n# comment\n2 2\n255\n" + bytes([0, 1, 2, 255]), np.array([[0, 1], [2, 255]], np.uint8)),
+        ("b.pgm", b"P5 2 2 65535\n" + be16(0, 1, 256, 65535), np.array([[0, 1], [256, 65535]], np.uint16)),
+        ("c.pgm", b"P5 2 1 4095\n" + be16(1, 4095), np.array([[1, 4095]], np.uint16)),  # 12 bits stay 12 bits
+        ("d.pgm", b"P2\n2 1\n255\n7 200\n", np.array([[7, 200]], np.uint8)),
+        ("e.pgm", b"P2\n2 1\n65535\n7 20000\n", np.array([[7, 20000]], np.uint16)),
+        ("f.ppm", b"P6 1 1 255\n" + bytes([1, 2, 3]), np.array([[[1, 2, 3]]], np.uint8)),
+        ("g.ppm", b"P6 1 1 65535\n" + be16(1, 2, 300), np.array([[[1, 2, 300]]], np.uint16)),
+        ("h.ppm", b"P3 1 1 255 1 2 3\n", np.array([[[1, 2, 3]]], np.uint8)),
+        ("i.png", png(2, 1, 8, 0, bytes([5, 9])), np.array([[5, 9]], np.uint8)),
+        ("j.png", png(2, 1, 16, 0, be16(5, 900)), np.array([[5, 900]], np.uint16)),
+        ("k.png", png(1, 1, 8, 2, bytes([1, 2, 3])), np.array([[[1, 2, 3]]], np.uint8)),
+        ("l.png", png(1, 1, 16, 2, be16(1, 2, 300)), np.array([[[1, 2, 300]]], np.uint16)),
+        ("m.png", png(1, 1, 8, 6, bytes([1, 2, 3, 128])), np.array([[[1, 2, 3]]], np.uint8)),  # alpha is dropped
+        ("n.png", png(1, 1, 16, 6, be16(1, 2, 300, 9)), np.array([[[1, 2, 300]]], np.uint16)),
+        ("suffix.lies", b"P6 1 1 255\n" + bytes([1, 2, 3]), np.array([[[1, 2, 3]]], np.uint8)),
+    ],
+)
+def test_hand_made_files(tmp_path, name, data, expected):
+    (tmp_path / name).write_bytes(data)
+    got = read_image(tmp_path / name)
+    assert got.dtype == expected.dtype
+    assert np.array_equal(got, expected)
+
+
+def test_alpha_is_kept_on_request(tmp_path):
+    (tmp_path / "a.png").write_bytes(png(1, 1, 8, 6, bytes([1, 2, 3, 128])))
+    assert read_image(tmp_path / "a.png", keep_alpha=True).tolist() == [[[1, 2, 3, 128]]]
+    (tmp_path / "b.png").write_bytes(png(1, 1, 8, 2, bytes([1, 2, 3])))
+    assert read_image(tmp_path / "b.png", keep_alpha=True).tolist() == [[[1, 2, 3]]]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff", ".pgm", ".ppm", ".pnm"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
+def test_what_is_written_is_read_again(tmp_path, suffix, dtype, shape):
+    rng = np.random.default_rng(0)
+    pixels = (
+        rng.random(shape, np.float32) if dtype is np.float32 else rng.integers(0, np.iinfo(dtype).max, shape, dtype)
+    )
+    path = tmp_path / f"Übung ö{suffix}"
+    if (dtype is np.float32 and "tif" not in suffix) or (suffix, len(shape)) in ((".pgm", 3), (".ppm", 2)):
+        with pytest.raises(FileError, match=f"in a {suffix} file"):
+            write_image(path, pixels)
+        assert not path.exists()
+        return
+    write_image(path, pixels)
+    got = read_image(path)
+    assert got.dtype == dtype
+    assert np.array_equal(got, pixels)
+
+
+def test_a_view_in_any_byte_order_is_written(tmp_path):
+    pixels = np.arange(24, dtype=">u2").reshape(4, 6)[::2, ::-1]
+    write_image(tmp_path / "a.png", pixels)
+    assert np.array_equal(read_image(tmp_path / "a.png"), pixels)
+
+
+def jpeg_with_orientation(path, orientation: int) -> None:
+    """White in the left quarter, before any turning."""
+    pixels = np.zeros((16, 32, 3), np.uint8)
+    pixels[:, :8] = 255
+    write_image(path, pixels)
+    data = path.read_bytes()
+    tag = struct.pack(">HHIHH", 0x0112, 3, 1, orientation, 0)
+    exif = b"Exif\0\0MM\0*" + struct.pack(">IH", 8, 1) + tag + bytes(4)
+    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
+
+
+@pytest.mark.parametrize(
+    ("orientation", "shape", "white"),
+    [
+        (1, (16, 32, 3), np.s_[:, :6]),
+        (2, (16, 32, 3), np.s_[:, -6:]),
+        (3, (16, 32, 3), np.s_[:, -6:]),
+        (6, (32, 16, 3), np.s_[:6]),  # turned clockwise: left becomes top
+        (8, (32, 16, 3), np.s_[-6:]),
+    ],
+)
+def test_a_jpeg_is_turned_as_its_exif_says(tmp_path, orientation, shape, white):
+    jpeg_with_orientation(tmp_path / "a.jpg", orientation)
+    pixels = read_image(tmp_path / "a.jpg")
+    assert pixels.shape == shape
+    assert pixels[white].min() > 200
+    assert pixels.mean() < 80
+
+
+def test_jpeg_colours_are_rgb(tmp_path):
+    pixels = np.zeros((16, 16, 3), np.uint8)
+    pixels[..., 0] = 250
+    write_image(tmp_path / "red.jpeg", pixels)
+    assert np.abs(read_image(tmp_path / "red.jpeg").astype(int) - pixels).max() < 10
+
+
+@pytest.mark.parametrize("text", ["missing.png", "folder", "empty.png", "random.png", "text.jpg", "cut.tif"])
+def test_what_is_no_image_is_refused_in_one_line(tmp_path, text):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "random.png").write_bytes(np.random.default_rng(0).bytes(1000))
+    (tmp_path / "text.jpg").write_text("hello")
+    (tmp_path / "cut.tif").write_bytes(b"II*\0\x08\0")
+    with pytest.raises(FileError) as error:
+        read_image(tmp_path / text)
+    assert "\n" not in str(error.value)
+    assert text in str(error.value)
+    assert "need" in str(error.value)
+
+
+def test_a_forged_size_is_refused(tmp_path):
+    (tmp_path / "huge.pgm").write_bytes(b"P5 2000000000 2000000000 255\n1234")
+    with pytest.raises(FileError, match="huge"):
+        read_image(tmp_path / "huge.pgm")
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    pixels = np.zeros((4, 4), np.uint8)
+    with pytest.raises(FileError, match=r"suffix '.xyz'; need one of .png"):
+        write_image(tmp_path / "a.xyz", pixels)
+    with pytest.raises(FileError, match="need a place that can be written"):
+        write_image(tmp_path / "none" / "a.png", pixels)
+    with pytest.raises(FileError, match="uint16"):
+        write_image(tmp_path / "a.jpg", pixels.astype(np.uint16))
+    with pytest.raises(ShapeError):
+        write_image(tmp_path / "a.png", np.zeros((0, 4), np.uint8))
+
+
+def test_headerless_raw_in_both_byte_orders(tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(bytes([0, 1, 2, 3, 4, 5]))
+    assert read_raw_image(path, 3, 2, "uint8").tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert read_raw_image(path, 1, 3, "uint16").tolist() == [[256], [770], [1284]]
+    assert read_raw_image(path, 3, 1, ">u2").tolist() == [[1, 515, 1029]]
+    assert read_raw_image(path, 3, 1, ">u2").dtype == np.uint16
+    assert read_raw_image(path, 3, 1, ">u2").dtype.isnative
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((3, 3, "uint8"), r"6 bytes; need 9 \(3 x 3 x 1\)"),
+        ((3, 2, "uint16"), "6 bytes; need 12"),
+        ((0, 2, "uint8"), "size 0 x 2"),
+        ((3, 2, "float32"), "need uint8, uint16 or >u2"),
+        ((3, 2, "bayer"), "need uint8, uint16 or >u2"),
+    ],
+)
+def test_raw_of_another_size_or_type_is_refused(tmp_path, arguments, text):
+    (tmp_path / "a.raw").write_bytes(bytes(6))
+    with pytest.raises(FileError, match=text):
+        read_raw_image(tmp_path / "a.raw", *arguments)
+    with pytest.raises(FileError, match="need"):
+        read_raw_image(tmp_path / "missing.raw", *arguments)
+    with pytest.raises(FileError, match="need"):
+        read_raw_image(tmp_path, *arguments)
+
+
+def test_the_nikon_raws(data_dir):
+    path = next((data_dir / "raw" / "nikon").glob("*rggb*"))
+    raw = read_raw_image(path, 768, 512, "uint16")
+    assert 400 < raw.min() < 1000
+    assert 4000 < raw.max() <= 16383

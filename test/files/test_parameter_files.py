@@ -1,0 +1,166 @@
+"""Parameter files and overrides: ROS 2's meanings, all sections, and every mistake in one line."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.files.parameter_files import parameter_file_text, parse_override, read_parameter_file
+from imgu_ros.params import Parameters, declarations, parameter_values, parameters_from
+
+
+def read(tmp_path, text, node_name="perception"):
+    (tmp_path / "p.yaml").write_text(text)
+    return read_parameter_file(tmp_path / "p.yaml", node_name)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("5", 5), ("-5", -5), ("+5", 5), ("0x1F", 31), ("010", 8), ("08", 8.0), ("0", 0),
+        ("1.5", 1.5), ("1e-3", 0.001), ("-.5", -0.5), ("1.", 1.0), (".inf", float("inf")), ("-.inf", float("-inf")),
+        ("true", True), ("False", False), ("on", True), ("N", False), ("yes", True), ("tRuE", "tRuE"),
+        ("'5'", "5"), ('"true"', "true"), ("!!str 5", "5"), ("rggb", "rggb"), ("1:30", "1:30"), ("2001-01-01", "2001-01-01"),
+        ("null", "null"), ("~", "~"), ("~/poster.png", "~/poster.png"), ("a:=b", "a:=b"), ("''", ""),
+        ("[1, 2]", [1, 2]), ("[1.0, 2e1]", [1.0, 20.0]), ("[a, 'b c', '']", ["a", "b c", ""]), ("[]", []),
+        ("[true, off]", [True, False]), (" 5 # why", 5), ("1_000", "1_000"), ("=", "="),
+    ],
+)  # fmt: skip
+def test_values_mean_what_they_mean_in_ros(text, value):
+    name, got = parse_override(f"seed:={text}")
+    assert name == "seed"
+    assert got == value
+    assert type(got) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("seed=5", "need NAME:=VALUE"), (":=5", "need NAME:=VALUE"), ("seed", "need NAME:=VALUE"), ("", "need NAME:=VALUE"),
+        ("seed:=", "no value"), ("seed:=[1", "need valid YAML"), ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"),
+        ("seed:=[[1]]", "a list in a list"), ("seed:=[*a]", "need"), ("seed:=a: b: c", "need valid YAML"),
+        ("seed:=99999999999999999999", "64 bits"), ("seed:=[1,,]", "need valid YAML"), ("seed:=\x00", "need valid YAML"),
+    ],
+)  # fmt: skip
+def test_bad_overrides_are_refused_in_one_line(text, reason):
+    with pytest.raises(ParameterError, match=reason) as error:
+        parse_override(text)
+    assert "\n" not in str(error.value)
+
+
+@given(st.text(max_size=30))
+def test_any_text_gives_a_value_or_a_parameter_error(text):
+    try:
+        name, _ = parse_override(f"seed:={text}")
+        assert name == "seed"
+    except ParameterError as error:
+        assert "\n" not in str(error)
+
+
+def test_groups_and_dots_are_the_same(tmp_path):
+    nested = "perception:\n  ros__parameters:\n    homography:\n      threshold_px: 2\n    demosaic: {method: malvar}\n"
+    dotted = "perception:\n  ros__parameters:\n    homography.threshold_px: 2.0\n    demosaic.method: malvar\n"
+    expected = {"homography.threshold_px": 2.0, "demosaic.method": "malvar"}
+    assert read(tmp_path, nested) == read(tmp_path, dotted) == expected
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        "/**",
+        "perception",
+        "/perception",
+        "/*",
+        "/**/perception",
+        "camera/perception",
+        "/a/b/perception",
+        "/*/perception",
+    ],
+)
+def test_the_nodes_sections(tmp_path, section):
+    text = f"{section}:\n  ros__parameters:\n    seed: 3\nother:\n  ros__parameters:\n    anything: 5\n"
+    if section == "/*/perception":  # that is one in some namespace; without ROS there is none
+        with pytest.raises(ParameterError, match="no section"):
+            read(tmp_path, text)
+        assert read(tmp_path, text, "/left/perception") == {"seed": 3}
+    else:
+        assert read(tmp_path, text) == {"seed": 3}
+
+
+def test_nested_namespaces_and_precedence(tmp_path):
+    text = (
+        "left:\n  perception:\n    ros__parameters: {seed: 1}\nright:\n  perception:\n    ros__parameters: {seed: 2}\n"
+    )
+    with pytest.raises(
+        ParameterError, match=r"several sections for node 'perception' \(/left/perception, /right/perception\)"
+    ):
+        read(tmp_path, text)
+    assert read(tmp_path, text, "/right/perception") == {"seed": 2}
+    # the node's own section wins, wherever it stands
+    own_first = "perception:\n  ros__parameters: {seed: 1}\n/**:\n  ros__parameters: {seed: 2, autostart: false}\n"
+    assert read(tmp_path, own_first) == {"seed": 1, "autostart": False}
+
+
+def test_what_every_node_has_is_passed_over(tmp_path):
+    text = "/**:\n  ros__parameters:\n    use_sim_time: true\n    qos_overrides: {/clock: {depth: 1}}\n    seed: 3\n"
+    assert read(tmp_path, text) == {"seed": 3}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "no sections"),
+        ("[1, 2]", "no sections"),
+        ("perception: 5\n", "no section for node 'perception'"),
+        ("other:\n  ros__parameters:\n    seed: 3\n", r"no section for node 'perception' \(found: /other\)"),
+        ("ros__parameters:\n  seed: 3\n", "outside of a node's section"),
+        ("seed: 3\n", "no section for node"),
+        ("/**:\n  ros__parameters: 5\n", "holds no names"),
+        ("/**:\n  ros__parameters:\n    sed: 3\n", "sed: unknown parameter; nearest known: seed"),
+        ("/**:\n  ros__parameters:\n    homography:\n      treshold_px: 3\n", "nearest known: homography.threshold_px"),
+        ("/**:\n  ros__parameters:\n    seed: high\n", "seed: 'high' .* need an integer"),
+        ("/**:\n  ros__parameters:\n    seed: -1\n", "seed: -1; need 0 to"),
+        ("/**:\n  ros__parameters:\n    seed:\n", "seed: no value"),
+        ("/**:\n  ros__parameters:\n    seed: 3\n   bad: 4\n", "line 4: .*need valid YAML"),
+        ("/**:\n\tros__parameters: 3\n", "line 2: .*need valid YAML"),
+        ("/**:\n  ros__parameters: &a\n    seed: 3\nperception: *a\n", "aliases"),
+        ("/**:\n  ros__parameters:\n    [1, 2]: 3\n", "line 3: a name is no text"),
+        ("/**:\n  ros__parameters:\n    raw.gains: [[1]]\n", "raw.gains: a list in a list"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(tmp_path, text, reason):
+    with pytest.raises(ParameterError, match=reason) as error:
+        read(tmp_path, text)
+    assert "\n" not in str(error.value)
+    assert "p.yaml" in str(error.value)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(FileError, match="No such file"):
+        read_parameter_file(tmp_path / "none.yaml")
+    with pytest.raises(FileError, match="need a parameter file"):
+        read_parameter_file(tmp_path)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(ParameterError, match="not a text file"):
+        read_parameter_file(tmp_path / "binary.yaml")
+
+
+def test_the_written_file_gives_the_defaults(tmp_path):
+    text = parameter_file_text()
+    values = read(tmp_path, text)
+    assert parameter_values(parameters_from(values)) == parameter_values(Parameters())
+    # ROS cannot read an empty list, so those alone are left out
+    assert set(values) == {d.name for d in declarations() if d.default != ()}
+    for known in declarations():
+        assert known.description in text
+
+
+def test_the_written_file_gives_given_values(tmp_path):
+    wanted = {
+        "targets.images": ("a b.png", 'q"\\.png'), "targets.widths_m": (0.5, 1e-07), "frames.map": "yes",
+        "seed": 7, "publish_tf": True,
+    }  # fmt: skip
+    values = read(tmp_path, parameter_file_text(wanted))
+    assert {name: values[name] for name in wanted} == wanted
