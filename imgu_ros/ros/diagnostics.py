@@ -8,32 +8,33 @@ from dataclasses import dataclass
 from imgu_ros.codec.diagnostics import HealthEntry, Level
 from imgu_ros.perception.result import PoseStatus, Result
 from imgu_ros.ros.input import ImageInput
-from imgu_ros.ros.qos import QosCounters
 from imgu_ros.ros.worker import Worker
 
 
 @dataclass(frozen=True, slots=True)
 class NodeState:
-    """What the node knows about itself: the lifecycle state, and whether somebody listens or has paused it."""
+    """What the node knows about itself.
 
+    Attributes
+    ----------
+    name : fully qualified
+    lifecycle : name of the state
+    paused, listened : whether it is paused, and whether anybody listens to an output
+    unmatched_subscribers : listeners that cannot be served, for their QoS does not fit
+    """
+
+    name: str
     lifecycle: str
     paused: bool
     listened: bool
+    unmatched_subscribers: int
 
 
-def health(
-    prefix: str, state: NodeState, source: ImageInput, worker: Worker, subscribers: QosCounters
-) -> list[HealthEntry]:
-    """Return the entries of /diagnostics.
-
-    Parameters
-    ----------
-    prefix : the node's full name, put before the entries' names
-    subscribers : counts of those who listen with incompatible QoS
-    """
-    now = time.monotonic()
+def health(state: NodeState, source: ImageInput, worker: Worker) -> list[HealthEntry]:
+    """Return the entries of /diagnostics."""
+    now, prefix = time.monotonic(), state.name
     return [
-        _output(f"{prefix}: output", state, source, worker, subscribers, now),
+        _output(f"{prefix}: output", state, source, worker, now),
         _input(f"{prefix}: input", source, worker, now),
         _camera(f"{prefix}: camera", worker.last),
     ]
@@ -70,9 +71,7 @@ def _why_no_pose(result: Result) -> str:
     return f"{first.name}: {words}{': ' if first.reason else ''}{first.reason}"
 
 
-def _output(
-    name: str, state: NodeState, source: ImageInput, worker: Worker, subscribers: QosCounters, now: float
-) -> HealthEntry:
+def _output(name: str, state: NodeState, source: ImageInput, worker: Worker, now: float) -> HealthEntry:
     reason = why_nothing(state, source, worker)
     idle = state.lifecycle != "active" or state.paused or not state.listened
     level = Level.OK if idle or not reason else Level.WARN
@@ -82,7 +81,7 @@ def _output(
         "rate_hz": worker.done.rate_hz(now),
         "frames": worker.done.count,
         **dict(zip(("latency_p50_ms", "latency_p95_ms", "latency_max_ms"), latencies, strict=False)),
-        "subscribers_with_incompatible_qos": subscribers.incompatible,
+        "subscribers_with_incompatible_qos": state.unmatched_subscribers,
     }
     if worker.last is not None:
         values |= {f"target.{target.name}": target.status.value for target in worker.last.targets}

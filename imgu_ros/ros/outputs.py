@@ -26,7 +26,7 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.result import Result, TargetResult
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.ros.messages import make_message, message_class
-from imgu_ros.ros.qos import QosCounters, output_qos, overridable, override_names
+from imgu_ros.ros.qos import no_events, output_qos, overridable, override_names
 
 _IMAGE = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -46,7 +46,6 @@ class Outputs:
     node : creates the publishers
     target_names : in the order of `targets.images`
     parameters : `pyramid.levels`, `publish_tf`, `frames`, `tf`, `path` and `targets.poses` are used
-    counters : counts subscribers with incompatible QoS
 
     Raises
     ------
@@ -54,14 +53,13 @@ class Outputs:
         If `publish_tf` is set and tf2_msgs is not installed, or `targets.poses` holds no poses.
     """
 
-    def __init__(self, node: Node, target_names: Sequence[str], parameters: Parameters, counters: QosCounters) -> None:
+    def __init__(self, node: Node, target_names: Sequence[str], parameters: Parameters) -> None:
         if parameters.publish_tf and parameters.tf.root_frame:
             raise ParameterError(
                 f"tf.root_frame: {parameters.tf.root_frame!r} is not available in this version; "
                 "need '' (the camera's frame)"
             )
         self._node = node
-        self._counters = counters
         self._parameters = parameters
         self._serves = _served(target_names, parameters)
         self._publishers: dict[str, Publisher] = {}
@@ -84,6 +82,11 @@ class Outputs:
     def wanted(self) -> bool:
         """Return whether anybody listens to any output; `publish_tf` counts as a listener."""
         return self._always or any(self._listened(topic) for topic in self._publishers)
+
+    def unmatched(self) -> int:
+        """Return how many subscribers cannot be served, for their QoS does not fit."""
+        publishers = self._publishers.values()
+        return sum(max(0, self._node.count_subscribers(p.topic_name) - p.get_subscription_count()) for p in publishers)
 
     def publish(self, result: Result) -> None:
         """Publish what a frame has for each topic that somebody listens to."""
@@ -133,7 +136,7 @@ class Outputs:
             message_class(type_name),
             topic,
             output_qos(depth),
-            event_callbacks=self._counters.publisher_callbacks(),
+            event_callbacks=no_events(),
             qos_overriding_options=overridable(),
         )
 

@@ -22,7 +22,7 @@ from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.parameter_sections import files_without_section
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.process import run_node
-from imgu_ros.ros.qos import QosCounters, output_qos
+from imgu_ros.ros.qos import no_events, output_qos
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.worker import Handlers, Worker
 
@@ -66,7 +66,6 @@ class PerceptionNode(LifecycleNode):
         # The machine's time: with use_sim_time a timer would stand still until /clock comes.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._outputs: Outputs | None = None
-        self._subscribers = QosCounters()
         self._server = ParameterServer(self)
         self._input = ImageInput(self, self._server.parameters.image_transport)
         self._worker = Worker(
@@ -75,7 +74,10 @@ class PerceptionNode(LifecycleNode):
             Handlers(result=self._on_result, rejected=self._on_rejected, failed=self._on_failed),
         )
         self._diagnostics = self.create_publisher(
-            message_class("diagnostic_msgs/msg/DiagnosticArray"), "/diagnostics", output_qos(10)
+            message_class("diagnostic_msgs/msg/DiagnosticArray"),
+            "/diagnostics",
+            output_qos(10),
+            event_callbacks=no_events(),
         )
         self.create_timer(_WATCH_S, self._watch, clock=self._steady)
         self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
@@ -171,7 +173,7 @@ class PerceptionNode(LifecycleNode):
         if self._outputs is not None:
             self._outputs.destroy()
             self._outputs = None
-        self._outputs = Outputs(self, names, parameters, self._subscribers)
+        self._outputs = Outputs(self, names, parameters)
         possible = self._outputs.qos_override_names() + self._input.qos_override_names()
         self._server.check_qos_overrides(dict.fromkeys(possible))
 
@@ -229,9 +231,15 @@ class PerceptionNode(LifecycleNode):
     def _publish_diagnostics(self) -> None:
         if not self._diagnostics.get_subscription_count():
             return
-        listened = self._outputs is not None and self._outputs.wanted()
-        state = NodeState(self._lifecycle, self._paused, listened)
-        entries = health(self.get_fully_qualified_name(), state, self._input, self._worker, self._subscribers)
+        outputs = self._outputs
+        state = NodeState(
+            name=self.get_fully_qualified_name(),
+            lifecycle=self._lifecycle,
+            paused=self._paused,
+            listened=outputs is not None and outputs.wanted(),
+            unmatched_subscribers=0 if outputs is None else outputs.unmatched(),
+        )
+        entries = health(state, self._input, self._worker)
         self._diagnostics.publish(diagnostics_message(make_message, self.get_clock().now().nanoseconds, entries))
 
     def _on_reset(self, _: Any, response: Any) -> Any:

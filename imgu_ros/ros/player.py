@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from imgu_ros.bags.storage import RawMessage
 from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.play_report import PlayReport, Span
 from imgu_ros.ros.prefetch import Prefetch
 from imgu_ros.ros.process import init_ros
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
@@ -61,38 +62,6 @@ class PlayOptions:
     duration_s: float | None = None
     wait_for: int = 0
     timeout_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlayReport:
-    """What was played.
-
-    Attributes
-    ----------
-    published : messages by topic
-    skipped_topics : topics whose message type is not installed
-    recorded_s, took_s : time between first and last message: as recorded, and as published
-    late_p99_ms, late_max_ms : how much later than due messages were handed to the middleware
-    """
-
-    published: Mapping[str, int]
-    skipped_topics: tuple[str, ...]
-    recorded_s: float
-    took_s: float
-    late_p99_ms: float
-    late_max_ms: float
-
-    @property
-    def kept_rate(self) -> float:
-        """Times the recorded speed that was reached; 0 when fewer than two messages were published."""
-        return self.recorded_s / self.took_s if self.took_s > 0 else 0.0
-
-    def lines(self) -> list[str]:
-        """Return the report for people."""
-        counts = ", ".join(f"{topic} {count}" for topic, count in self.published.items())
-        speed = f"{self.recorded_s:.2f} s of the recording in {self.took_s:.2f} s: {self.kept_rate:.2f} x"
-        late = f"late by {self.late_p99_ms:.1f} ms (p99), {self.late_max_ms:.1f} ms (most)"
-        return [f"published {sum(self.published.values())} messages ({counts})", f"{speed}; {late}"]
 
 
 def play(
@@ -143,7 +112,7 @@ class _Player:
         self._skipped: list[str] = []
         self._published: dict[str, int] = {}
         self._late_s: deque[float] = deque(maxlen=100_000)
-        self._span = _Span()
+        self._span = Span()
         self._clock = self._node.create_publisher(Clock, "/clock", output_qos(1))
         self._clock_due = 0.0
 
@@ -153,6 +122,8 @@ class _Player:
             self._wait_for_subscribers()
             self._publish_all()
         self._finish()
+        for warning in self._bag.warnings:
+            self._say(f"warning: {warning}")
         late = np.percentile(self._late_s, (99, 100)) * 1e3 if self._late_s else (0.0, 0.0)
         return PlayReport(
             published=self._published,
@@ -169,11 +140,15 @@ class _Player:
     def _create_publishers(self) -> None:
         for topic, type_name in self._types.items():
             kind = self._class_of(topic, type_name)
-            if kind is not None:
-                self._publishers[topic] = self._node.create_publisher(
-                    kind, topic, _qos(topic), qos_overriding_options=overridable()
-                )
-                self._published[topic] = 0
+            if kind is None:
+                continue
+            try:
+                publisher = self._node.create_publisher(kind, topic, _qos(topic), qos_overriding_options=overridable())
+            except (ValueError, RuntimeError) as error:  # a name that ROS 2 refuses, a QoS override that it cannot read
+                self._skip(topic, " ".join(str(error).split()))
+                continue
+            self._publishers[topic] = publisher
+            self._published[topic] = 0
         if not self._publishers:
             raise BagError("bag: no topic can be published; need messages whose types are installed")
 
@@ -196,7 +171,7 @@ class _Player:
         wanted = self._options.wait_for
         started = time.monotonic()
         bound = _DISCOVERY_S if wanted == 0 else self._options.timeout_s
-        remind = started + _REMIND_S
+        remind = started + _DISCOVERY_S
         while self._matched(images) < max(wanted, 1):
             now = time.monotonic()
             if bound is not None and now - started >= bound:
@@ -277,28 +252,6 @@ class _Player:
                 pass
         # Best-effort subscribers acknowledge nothing.
         self._stop.wait(_LINGER_S)
-
-
-class _Span:
-    """From when to when messages were recorded and published; rounds of a loop add up, their gaps do not."""
-
-    def __init__(self) -> None:
-        self.recorded_s = 0.0
-        self.took_s = 0.0
-        self._first: tuple[int, float] | None = None
-        self._done = (0.0, 0.0)
-
-    def add(self, time_ns: int, now_s: float) -> None:
-        """Count a message."""
-        if self._first is None:
-            self._first = (time_ns, now_s)
-        self.recorded_s = self._done[0] + (time_ns - self._first[0]) * 1e-9
-        self.took_s = self._done[1] + now_s - self._first[1]
-
-    def next_round(self) -> None:
-        """Begin a round."""
-        self._done = (self.recorded_s, self.took_s)
-        self._first = None
 
 
 def _qos(topic: str) -> QoSProfile:

@@ -21,7 +21,7 @@ OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABI
 
 
 class QosCounters:
-    """Counts lost messages and endpoints with incompatible QoS, as the middleware reports them."""
+    """Counts a subscription's lost messages and publishers with incompatible QoS, as the middleware reports them."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -36,7 +36,7 @@ class QosCounters:
 
     @property
     def incompatible(self) -> int:
-        """Times that an endpoint was found whose QoS does not fit."""
+        """Times that a publisher was found whose QoS does not fit."""
         return self._incompatible
 
     @property
@@ -49,10 +49,6 @@ class QosCounters:
         """Return event callbacks that count into this object."""
         return SubscriptionEventCallbacks(message_lost=self._on_lost, incompatible_qos=self._on_incompatible)
 
-    def publisher_callbacks(self) -> PublisherEventCallbacks:
-        """Return event callbacks that count into this object, and nothing else: every waitable slows the executor."""
-        return PublisherEventCallbacks(incompatible_qos=self._on_incompatible, use_default_callbacks=False)
-
     def _on_lost(self, event: Any) -> None:
         with self._lock:
             self._lost += event.total_count_change
@@ -61,6 +57,11 @@ class QosCounters:
         with self._lock:
             self._incompatible += event.total_count_change
             self._policies.add(str(qos_policy_name_from_kind(event.last_policy_kind)).lower())
+
+
+def no_events() -> PublisherEventCallbacks:
+    """Return no callbacks, not even rclpy's own: each of them slows every turn of the executor."""
+    return PublisherEventCallbacks(use_default_callbacks=False)
 
 
 def image_qos() -> QoSProfile:
