@@ -134,7 +134,7 @@ class PyramidParameters:
     levels: int = parameter(8, "Most levels; fewer when the image gets too small.", minimum=1, maximum=32)
     scales_per_octave: int = parameter(3, "Levels in an octave when `pyramid.kind` is `fine`.", minimum=1, maximum=8)
     max_side_px: int = parameter(
-        960,
+        1280,
         "Longest side of level 0: a larger image is reduced by halves before features are sought.",
         unit="px",
         minimum=64,

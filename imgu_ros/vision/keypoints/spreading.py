@@ -11,10 +11,10 @@ from imgu_ros.types import Floats, Indices, Points, as_points
 
 
 def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> Indices:
-    """Choose up to `count` points, taking turns among the cells of a grid.
+    """Choose up to `count` points: the strongest half, then in turns among the cells of a grid.
 
-    Every cell's strongest point comes before any cell's second strongest, and so on; within a turn the stronger
-    come first. The grid has about as many cells as half the wanted points.
+    In the turns every cell's strongest point comes before any cell's second strongest, and so on; within a turn the
+    stronger come first. The grid has about as many cells as half the wanted points.
 
     Parameters
     ----------
@@ -42,6 +42,8 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> I
         starts = np.flatnonzero(np.r_[True, np.diff(cell[by_cell]) != 0])
         turn = np.empty(len(xy), np.intp)
         turn[by_cell] = np.arange(len(xy)) - np.repeat(starts, np.diff(np.r_[starts, len(xy)]))
+        # The strongest half is kept wherever it lies: a small target in front of a dull wall needs its points.
+        turn[: count // 2] = -1
         kept = np.sort(np.argsort(turn, kind="stable")[:count])
         strongest_first = strongest_first[kept]
     return strongest_first

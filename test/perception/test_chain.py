@@ -1,0 +1,206 @@
+"""The chain against simulated truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from imgu_ros.params import parameters_from
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.result import PoseStatus, Result, Stage, Status
+from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_camera, simulate_sequence
+from imgu_ros.simulate.truth import corner_error
+from imgu_ros.vision.camera.intrinsics import make_camera
+from imgu_ros.vision.camera.rotation import log_so3
+from imgu_ros.vision.formation.cfa import BayerPattern
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+
+Frames = tuple[SimulatedFrame, ...]
+Targets = tuple[Target, ...]
+
+
+def errors(frames: Frames, results: list[Result], targets: Targets) -> list[float]:
+    out = []
+    for simulated, result in zip(frames, results, strict=True):
+        for truth in simulated.truths:
+            found = next(t for t in result.targets if t.name == truth.target)
+            assert found.homography is not None, found.reason
+            size = result.developed.grey.shape[1::-1]
+            target = next(t for t in targets if t.name == truth.target)
+            camera = simulated.frame.camera
+            lens = camera if camera is not None and camera.is_distorted else None
+            out.append(corner_error(found.homography.H, truth.H, target.size, size, lens))
+    return out
+
+
+@pytest.mark.parametrize("tracking", [True, False])
+def test_every_frame_is_found_to_a_tenth_of_a_pixel(
+    one_target_frames: Frames, targets: Targets, tracking: bool
+) -> None:
+    chain = Chain(parameters_from({"tracking.enabled": tracking}), targets[:1])
+    results = [chain.process(f.frame) for f in one_target_frames]
+    expected = [Status.DETECTED] + [Status.TRACKED if tracking else Status.DETECTED] * 11
+    assert [r.targets[0].status for r in results] == expected
+    assert np.median(errors(one_target_frames, results, targets)) < 0.1
+    assert max(errors(one_target_frames, results, targets)) < 0.3
+    for simulated, result in zip(one_target_frames, results, strict=True):
+        pose = result.targets[0].pose
+        truth = simulated.truths[0].pose
+        assert pose is not None
+        assert np.linalg.norm(pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
+        assert np.degrees(np.linalg.norm(log_so3(truth.R @ pose.R.T))) < 0.3
+
+
+def test_detection_without_refinement_is_already_good(one_target_frames: Frames, targets: Targets) -> None:
+    chain = Chain(parameters_from({"tracking.enabled": False, "refinement.enabled": False}), targets[:1])
+    results = [chain.process(f.frame) for f in one_target_frames]
+    assert np.median(errors(one_target_frames, results, targets)) < 1.0
+    assert all(Stage.REFINE not in r.times_ns for r in results)
+
+
+def test_covariance_agrees_with_the_errors(one_target_frames: Frames, targets: Targets) -> None:
+    """Normalised squared errors of the 6-D pose are of the order of 6, neither 0.6 nor 60."""
+    chain = Chain(parameters_from({"tracking.enabled": False}), targets[:1])
+    squared = []
+    for simulated in one_target_frames:
+        pose, truth = chain.process(simulated.frame).targets[0].pose, simulated.truths[0].pose
+        d = np.r_[truth.t - pose.t, log_so3(truth.R @ pose.R.T)]
+        squared.append(d @ np.linalg.solve(pose.covariance, d))
+    assert 2.5 < np.median(squared) < 12
+
+
+def test_several_targets(two_target_frames: Frames, targets: Targets) -> None:
+    chain = Chain(parameters_from({}), targets)
+    results = [chain.process(f.frame) for f in two_target_frames]
+    assert all([t.name for t in r.targets] == [t.name for t in targets] for r in results)
+    assert max(errors(two_target_frames, results, targets)) < 0.5
+
+
+@pytest.mark.parametrize("pattern", list(BayerPattern))
+@pytest.mark.parametrize("method", ["bilinear", "malvar"])
+def test_every_bayer_phase(
+    target_images: tuple[TargetImage, ...], targets: Targets, pattern: BayerPattern, method: str
+) -> None:
+    layout = PixelLayout(ColorModel.BAYER, pattern)
+    frames = tuple(
+        simulate_sequence(Simulation(width=640, height=480, frames=2, seed=3, layout=layout), target_images[:1])
+    )
+    chain = Chain(parameters_from({"demosaic.method": method}), targets[:1])
+    assert max(errors(frames, [chain.process(f.frame) for f in frames], targets)) < 0.3
+
+
+@pytest.mark.parametrize(
+    "lens", [("plumb_bob", (-0.26, 0.09, 0.0008, -0.0005, -0.01)), ("equidistant", (-0.03, 0.008, -0.004, 0.001))]
+)
+def test_lenses_are_respected(target_images: tuple[TargetImage, ...], targets: Targets, lens: tuple) -> None:
+    camera = default_camera(640, 480, *lens)
+    frames = tuple(
+        simulate_sequence(Simulation(width=640, height=480, frames=4, seed=3, camera=camera), target_images[:1])
+    )
+    chain = Chain(parameters_from({}), targets[:1])
+    results = [chain.process(f.frame) for f in frames]
+    assert max(errors(frames, results, targets)) < 0.3
+    for simulated, result in zip(frames, results, strict=True):
+        truth = simulated.truths[0].pose
+        assert np.linalg.norm(result.targets[0].pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
+
+
+def test_same_frames_same_numbers(one_target_frames: Frames, targets: Targets) -> None:
+    runs = []
+    for _ in range(2):
+        chain = Chain(parameters_from({}), targets[:1])
+        runs.append([chain.process(f.frame).targets[0] for f in one_target_frames])
+    for a, b in zip(*runs, strict=True):
+        assert np.array_equal(a.homography.H, b.homography.H)
+        assert np.array_equal(a.pose.covariance, b.pose.covariance)
+
+
+def test_a_skipped_frame_changes_no_other_frames_detection(one_target_frames: Frames, targets: Targets) -> None:
+    p = parameters_from({"tracking.enabled": False})
+    whole = [Chain(p, targets[:1]).process(f.frame).targets[0].homography.H for f in one_target_frames[:4]]
+    chain = Chain(p, targets[:1])
+    assert np.array_equal(chain.process(one_target_frames[3].frame).targets[0].homography.H, whole[3])
+    assert np.array_equal(chain.process(one_target_frames[1].frame).targets[0].homography.H, whole[1])
+
+
+def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_frames: Frames, targets: Targets) -> None:
+    chain = Chain(parameters_from({}), targets[:1])
+    first = one_target_frames[0].frame
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+    for empty in (noise, np.zeros_like(noise), np.full_like(noise, 255)):
+        assert chain.process(first).targets[0].status.found
+        lost = chain.process(replace(first, image=RawImage(empty, first.image.layout))).targets[0]
+        assert lost.status is Status.LOST
+        assert lost.reason
+        assert lost.homography is None
+        assert lost.pose is None
+        assert chain.process(one_target_frames[1].frame).targets[0].status is Status.DETECTED
+
+
+def test_a_jump_is_detected_again_in_the_same_frame(one_target_frames: Frames, targets: Targets) -> None:
+    chain = Chain(parameters_from({}), targets[:1])
+    chain.process(one_target_frames[0].frame)
+    result = chain.process(one_target_frames[11].frame)
+    assert result.targets[0].status.found
+    assert errors(one_target_frames[11:], [result], targets)[0] < 0.3
+
+
+def test_uncalibrated_and_unsized(
+    one_target_frames: Frames, targets: Targets, target_images: tuple[TargetImage, ...]
+) -> None:
+    frame = one_target_frames[0].frame
+    result = Chain(parameters_from({}), targets[:1]).process(replace(frame, camera=None)).targets[0]
+    assert result.status is Status.DETECTED
+    assert (result.pose, result.pose_status) == (None, PoseStatus.UNCALIBRATED)
+    unsized = prepare_targets([replace(target_images[0], width_m=0.0)], parameters_from({}))
+    result = Chain(parameters_from({}), unsized).process(frame).targets[0]
+    assert (result.pose, result.pose_status) == (None, PoseStatus.NO_SIZE)
+
+
+def test_pose_scales_with_the_width(
+    one_target_frames: Frames, targets: Targets, target_images: tuple[TargetImage, ...]
+) -> None:
+    frame = one_target_frames[0].frame
+    small = Chain(parameters_from({}), targets[:1]).process(frame).targets[0].pose
+    images = [replace(target_images[0], width_m=2 * target_images[0].width_m)]
+    large = Chain(parameters_from({}), prepare_targets(images, parameters_from({}))).process(frame).targets[0].pose
+    assert_allclose(large.t, 2 * small.t, rtol=1e-6)
+    assert_allclose(large.R, small.R, atol=1e-6)
+
+
+def test_a_frame_that_cannot_be_worked_on_is_rejected(targets: Targets) -> None:
+    camera = make_camera(np.eye(3), (), "plumb_bob", 4, 4)
+    bands = RawImage(np.zeros((4, 4, 3), np.float64), PixelLayout(ColorModel.BANDS))
+    p = parameters_from({"raw.bands": [7]})
+    result = Chain(p, targets).process(Frame(bands, 5, "camera", camera))
+    assert "raw.bands" in result.reason
+    assert [t.status for t in result.targets] == [Status.REJECTED] * 2
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (1, 640), (31, 31), (480, 40)])
+def test_tiny_frames_are_lost_not_fatal(targets: Targets, shape: tuple[int, int]) -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
+    for layout in (PixelLayout(ColorModel.MONO), PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)):
+        result = Chain(parameters_from({}), targets[:1]).process(Frame(RawImage(pixels, layout), 0, "c", None))
+        assert result.targets[0].status in (Status.LOST, Status.REJECTED)
+        assert result.targets[0].reason
+
+
+def test_keypoints_on_demand(one_target_frames: Frames, targets: Targets) -> None:
+    chain = Chain(parameters_from({}), targets[:1])
+    chain.process(one_target_frames[0].frame)
+    assert chain.process(one_target_frames[1].frame).keypoints is None
+    result = chain.process(one_target_frames[2].frame, with_keypoints=True)
+    assert result.targets[0].status is Status.TRACKED
+    assert len(result.keypoints) == len(result.descriptors) > 100
+
+
+def test_missing_targets_are_looked_for_now_and_then(one_target_frames: Frames, targets: Targets) -> None:
+    chain = Chain(parameters_from({"tracking.search_every": 3}), targets)
+    searched = [Stage.MATCH in chain.process(f.frame).times_ns for f in one_target_frames[:9]]
+    assert searched == [True, False, False, True, False, False, True, False, False]

@@ -1,0 +1,74 @@
+"""Minimisers on problems with known minima."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+
+from imgu_ros.errors import DegenerateConfiguration
+from imgu_ros.types import Floats
+from imgu_ros.vision.estimation.nonlinear import Linearisation, huber, minimise
+
+
+class Decay:
+    """y = a exp(-b x): parameters (a, b)."""
+
+    def __init__(self, x: Floats, y: Floats) -> None:
+        self.x, self.y = x, y
+
+    def residuals(self, estimate: Floats) -> Floats:
+        return (estimate[0] * np.exp(-estimate[1] * self.x) - self.y)[:, None]
+
+    def linearise(self, estimate: Floats) -> Linearisation:
+        e = np.exp(-estimate[1] * self.x)
+        return Linearisation(self.residuals(estimate), np.stack((e, -estimate[0] * self.x * e), axis=1)[:, None, :])
+
+    def step(self, estimate: Floats, delta: Floats) -> Floats:
+        return estimate + delta
+
+
+def noisy(outlier: float = 0.0) -> Decay:
+    x = np.linspace(0, 4, 40)
+    y = 3 * np.exp(-0.7 * x) + np.random.default_rng(0).normal(0, 0.02, 40)
+    y[10] += outlier
+    return Decay(x, y)
+
+
+@pytest.mark.parametrize("method", ["gauss_newton", "levenberg_marquardt"])
+def test_same_minimum_as_scipy(method: str) -> None:
+    problem = noisy()
+    minimum = minimise(problem, np.array([2.5, 0.6]), method)
+    reference = least_squares(lambda e: problem.residuals(e).ravel(), [2.5, 0.6], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert minimum.converged
+    assert minimum.iterations <= 12
+    assert_allclose(minimum.estimate, reference.x, rtol=1e-6)
+    assert_allclose(minimum.normal_matrix, reference.jac.T @ reference.jac, rtol=1e-4)
+
+
+def test_levenberg_marquardt_survives_a_far_start() -> None:
+    minimum = minimise(noisy(), np.array([8.0, 3.0]), max_iterations=200)
+    assert_allclose(minimum.estimate, [3, 0.7], atol=0.05)
+
+
+def test_huber_bounds_an_outlier() -> None:
+    problem = noisy(outlier=5.0)
+    plain = minimise(problem, np.array([2.5, 0.6])).estimate
+    robust = minimise(problem, np.array([2.5, 0.6]), loss=huber(0.05))
+    assert np.abs(robust.estimate - [3, 0.7]).max() < 0.02 < np.abs(plain - [3, 0.7]).max()
+    assert robust.weights[10] < 0.02
+    reference = least_squares(
+        lambda e: problem.residuals(e).ravel(), [2.5, 0.6], loss="huber", f_scale=0.05, xtol=1e-14, ftol=1e-14
+    )
+    assert_allclose(robust.estimate, reference.x, rtol=1e-4)
+
+
+def test_undetermined_parameters_raise() -> None:
+    with pytest.raises(DegenerateConfiguration):
+        minimise(Decay(np.zeros(5), np.ones(5)), np.array([1.0, 1.0]))
+
+
+def test_no_iteration_still_linearises() -> None:
+    minimum = minimise(noisy(), np.array([2.5, 0.6]), max_iterations=0)
+    assert minimum.iterations == 0
+    assert not minimum.converged
+    assert minimum.normal_matrix.shape == (2, 2)

@@ -1,0 +1,53 @@
+"""Mapping points, local derivative, sign and orientation of homographies."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from imgu_ros.errors import DegenerateConfiguration, ShapeError
+from imgu_ros.vision.projective.transform import faces_camera, local_jacobian, normalised_homography, transform
+
+H = np.array([[2.0, 0, 10], [0, 3, -4], [0, 0.01, 1]])
+
+
+def test_transform_by_hand() -> None:
+    # (1, 100) -> (12, 296) / 2
+    assert_allclose(transform(H, [[0, 0], [1, 100]]), [[10, -4], [6, 148]])
+
+
+def test_transform_of_no_points() -> None:
+    assert transform(H, np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_point_mapped_to_infinity() -> None:
+    with pytest.raises(DegenerateConfiguration, match="infinity"):
+        transform(H, [[0, -100.0]])
+
+
+def test_local_jacobian_is_the_derivative() -> None:
+    points = np.random.default_rng(0).uniform(0, 200, (10, 2))
+    step = 1e-5
+    for axis in (0, 1):
+        moved = np.eye(2)[axis] * step
+        numeric = (transform(H, points + moved) - transform(H, points - moved)) / (2 * step)
+        assert_allclose(local_jacobian(H, points)[:, :, axis], numeric, rtol=1e-6)
+
+
+def test_normalised_homography() -> None:
+    for scale in (-7.0, 0.001, 1e6):
+        out = normalised_homography(H * scale)
+        assert np.linalg.norm(out) == pytest.approx(1)
+        assert np.linalg.det(out) > 0
+        assert_allclose(out, H / np.linalg.norm(H), atol=1e-15)
+    with pytest.raises(DegenerateConfiguration):
+        normalised_homography(np.zeros((3, 3)))
+    with pytest.raises(ShapeError):
+        normalised_homography(np.eye(2))
+
+
+def test_faces_camera() -> None:
+    points = np.array([[0.0, 0], [50, 50]])
+    assert faces_camera(H, points)
+    assert faces_camera(-5 * H, points)  # the sign of a matrix means nothing
+    assert not faces_camera(H @ np.diag([-1.0, 1.0, 1.0]), points)  # mirrored
+    assert not faces_camera(H, [[0, 0], [0, -200.0]])  # across the vanishing line
