@@ -20,7 +20,7 @@ class ByteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe must not block
             self.size = os.fstat(self._descriptor).st_size
         except OSError as error:
             raise BagError(f"{path}: {error.strerror}; need a readable file") from None

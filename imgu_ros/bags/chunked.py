@@ -131,6 +131,8 @@ class ChunkedStorage:
         return data
 
     def _warn_of_chunk(self, stretch: Stretch, error: BagError) -> None:
+        if any(gap.start == stretch.offset for gap in self._index.gaps):
+            return  # cut by the end of the file, which is said as such
         self._warnings.add(
             f"{self._name}: chunk at byte {stretch.offset} ({seconds(stretch.start_ns)} to {seconds(stretch.end_ns)}) "
             f"is damaged, what cannot be read of it is skipped: {error}",
@@ -140,7 +142,7 @@ class ChunkedStorage:
     def _warn_of_gap(self, gap: Gap) -> None:
         start, end = gap.start, gap.end
         if end == self._file.size:
-            text = f"cut short or damaged: its last {end - start} bytes hold no complete record; read until "
+            text = f"cut short or damaged: its last {end - start} bytes are incomplete; read until "
         else:
             text = f"bytes {start} to {end} are damaged and skipped; read before them until "
         kind = f"{self._name}: gaps {end == self._file.size}"

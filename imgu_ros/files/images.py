@@ -156,10 +156,10 @@ def _raw_dtype(path: Path, dtype: str | np.dtype[np.generic]) -> np.dtype[np.gen
 
 
 def _content(path: Path) -> bytes:
+    if path.exists() and not path.is_file():  # reading a pipe or a device might never end
+        raise FileError(f"{path}: {'a folder' if path.is_dir() else 'no regular file'}; need an image file")
     try:
         content = path.read_bytes()
-    except IsADirectoryError:
-        raise FileError(f"{path}: a folder; need an image file") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}; need an image file") from None
     if not content:

@@ -63,7 +63,7 @@ def test_the_loss_is_said_with_bytes_and_time(tmp_path, tiny_mcap):
     got, warnings = read(tmp_path / "cut.mcap")
     assert len(got) == 2
     assert warnings == (
-        "cut.mcap: cut short or damaged: its last 20 bytes hold no complete record; read until 1.500000001 s",
+        "cut.mcap: cut short or damaged: its last 20 bytes are incomplete; read until 1.500000001 s",
     )
 
 
@@ -242,8 +242,10 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
     (tmp_path / "random.bag").write_bytes(os.urandom(5000))
     (tmp_path / "short.mcap").write_bytes(b"\x89MCA")
     (tmp_path / "bad.db3").write_bytes(b"SQLite format 3\0" + os.urandom(5000))
+    os.mkfifo(tmp_path / "pipe")  # must not block
     cases = {
         "nothing": "No such file",
+        "pipe": "not a regular file",
         "folder": "no bag in this folder",
         "empty.mcap": "empty file",
         "empty.db3": "empty file",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 
@@ -125,10 +126,11 @@ def test_jpeg_colours_are_rgb(tmp_path):
     assert np.abs(read_image(tmp_path / "red.jpeg").astype(int) - pixels).max() < 10
 
 
-@pytest.mark.parametrize("text", ["missing.png", "folder", "empty.png", "random.png", "text.jpg", "cut.tif"])
+@pytest.mark.parametrize("text", ["missing.png", "folder", "empty.png", "random.png", "text.jpg", "cut.tif", "pipe"])
 def test_what_is_no_image_is_refused_in_one_line(tmp_path, text):
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty.png").touch()
+    os.mkfifo(tmp_path / "pipe")  # must not block
     (tmp_path / "random.png").write_bytes(np.random.default_rng(0).bytes(1000))
     (tmp_path / "text.jpg").write_text("hello")
     (tmp_path / "cut.tif").write_bytes(b"II*\0\x08\0")

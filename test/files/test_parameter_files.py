@@ -22,7 +22,8 @@ def read(tmp_path, text, node_name="perception"):
         ("5", 5), ("-5", -5), ("+5", 5), ("0x1F", 31), ("010", 8), ("08", 8.0), ("0", 0),
         ("1.5", 1.5), ("1e-3", 0.001), ("-.5", -0.5), ("1.", 1.0), (".inf", float("inf")), ("-.inf", float("-inf")),
         ("true", True), ("False", False), ("on", True), ("N", False), ("yes", True), ("tRuE", "tRuE"),
-        ("'5'", "5"), ('"true"', "true"), ("!!str 5", "5"), ("rggb", "rggb"), ("1:30", "1:30"), ("2001-01-01", "2001-01-01"),
+        ("'5'", "5"), ('"true"', "true"), ("!!str 5", "5"), ("rggb", "rggb"), ("1:30", "1:30"),
+        ("2001-01-01", "2001-01-01"),
         ("null", "null"), ("~", "~"), ("~/poster.png", "~/poster.png"), ("a:=b", "a:=b"), ("''", ""),
         ("[1, 2]", [1, 2]), ("[1.0, 2e1]", [1.0, 20.0]), ("[a, 'b c', '']", ["a", "b c", ""]), ("[]", []),
         ("[true, off]", [True, False]), (" 5 # why", 5), ("1_000", "1_000"), ("=", "="),
@@ -38,10 +39,11 @@ def test_values_mean_what_they_mean_in_ros(text, value):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("seed=5", "need NAME:=VALUE"), (":=5", "need NAME:=VALUE"), ("seed", "need NAME:=VALUE"), ("", "need NAME:=VALUE"),
-        ("seed:=", "no value"), ("seed:=[1", "need valid YAML"), ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"),
-        ("seed:=[[1]]", "a list in a list"), ("seed:=[*a]", "need"), ("seed:=a: b: c", "need valid YAML"),
-        ("seed:=99999999999999999999", "64 bits"), ("seed:=[1,,]", "need valid YAML"), ("seed:=\x00", "need valid YAML"),
+        ("seed=5", "need NAME:=VALUE"), (":=5", "need NAME:=VALUE"), ("seed", "need NAME:=VALUE"),
+        ("", "need NAME:=VALUE"), ("seed:=", "no value"), ("seed:=[1", "need valid YAML"),
+        ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"), ("seed:=[[1]]", "a list in a list"),
+        ("seed:=[*a]", "need"), ("seed:=a: b: c", "need valid YAML"), ("seed:=99999999999999999999", "64 bits"),
+        ("seed:=[1,,]", "need valid YAML"), ("seed:=\x00", "need valid YAML"),
     ],
 )  # fmt: skip
 def test_bad_overrides_are_refused_in_one_line(text, reason):
@@ -56,7 +58,8 @@ def test_any_text_gives_a_value_or_a_parameter_error(text):
         name, _ = parse_override(f"seed:={text}")
         assert name == "seed"
     except ParameterError as error:
-        assert "\n" not in str(error)
+        lines = str(error).splitlines()
+        assert len(lines) == 1
 
 
 def test_groups_and_dots_are_the_same(tmp_path):
