@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from imgu_ros.perception.targets import TargetImage
     from imgu_ros.simulate.recording import BagFormat
-    from imgu_ros.simulate.sequence import Simulation
+    from imgu_ros.simulate.sequence import Simulation, check_simulation
     from imgu_ros.vision.camera.intrinsics import Camera
 
 HELP = "write a bag of a simulated camera with exact ground truth"
@@ -111,14 +111,14 @@ def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulat
     from imgu_ros.errors import ParameterError
     from imgu_ros.simulate.path import Motion
     from imgu_ros.simulate.recording import simulated_encoding
-    from imgu_ros.simulate.sequence import Simulation
+    from imgu_ros.simulate.sequence import Simulation, check_simulation
     from imgu_ros.vision.formation.sensor import Sensor
 
     encoding = simulated_encoding(bag_format.encoding)
     bits = arguments.bits if arguments.bits is not None else 8 * encoding.dtype.itemsize
     if arguments.seed < 0:
         raise ParameterError(f"seed: {arguments.seed}; need 0 or more")
-    return Simulation(
+    simulation = Simulation(
         width=arguments.size[0],
         height=arguments.size[1],
         frames=arguments.frames,
@@ -129,6 +129,8 @@ def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulat
         motion=Motion(turns=arguments.turns, tilt_rad=math.radians(arguments.tilt), zoom=arguments.zoom),
         camera=_camera(arguments),
     )
+    check_simulation(simulation)  # before pictures are made, which takes a while
+    return simulation
 
 
 def _camera(arguments: argparse.Namespace) -> Camera | None:

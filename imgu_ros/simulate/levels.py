@@ -42,7 +42,7 @@ class Levels:
         return self._width, self._height
 
     def level_for(self, step_px: float) -> int:
-        """Return the finest level, 2^(-k/2) the size for k, that samples `step_px` template pixels apart do not alias."""
+        """Return the finest level k, 2^(-k/2) the size, that samples `step_px` template pixels apart do not alias."""
         if not math.isfinite(step_px):
             return self._last
         wanted = math.ceil(2 * math.log2(max(step_px, 1e-9) / _LARGEST_STEP))

@@ -90,7 +90,7 @@ def simulate_sequence(
         If a target is not a picture, or the camera's lens cannot be inverted.
     """
     simulation = simulation or Simulation()
-    _check(simulation)
+    check_simulation(simulation)
     camera = camera_of(simulation)
     scene = arrange_scene(targets if targets is not None else default_targets(1, simulation.seed), simulation.seed)
     renderer = Renderer(scene, camera, simulation.layout)
@@ -149,7 +149,8 @@ def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, ren
     return SimulatedFrame(frame, tuple(truths))
 
 
-def _check(simulation: Simulation) -> None:
+def check_simulation(simulation: Simulation) -> None:
+    """Raise ParameterError when size, frames, rate or camera are impossible."""
     width, height = simulation.width, simulation.height
     if not (32 <= width <= 16384 and 32 <= height <= 16384):
         raise ParameterError(f"size: {width}x{height}; need 32x32 to 16384x16384")

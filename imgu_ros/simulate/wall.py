@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import cv2
 import numpy as np
@@ -25,9 +26,7 @@ class Wall:
     def __init__(self, scene_radius_m: float) -> None:
         """Scale the texture to a scene of this radius."""
         self._texel_m = _PERIOD_RADII * scene_radius_m / _SIDE_PX
-        self._levels = [wall_texture(_SIDE_PX)]
-        while self._levels[-1].shape[0] > 4:
-            self._levels.append(cv2.resize(self._levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        self._levels = _levels()
 
     def image_from_wall(self, K: Matrix3, camera_from_scene: RigidTransform, wall_m: float) -> Matrix3:
         """Return the (3, 3) map from texels to ideal pixels, w > 0 in front of the camera."""
@@ -51,3 +50,12 @@ class Wall:
         rough = cv2.remap(self._levels[level], m.u, m.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         rough[~m.front] = 1.0
         return rough
+
+
+@cache
+def _levels() -> tuple[Image, ...]:
+    """Return the texture at full size, a half, a fourth, ...; every wall is the same."""
+    levels = [wall_texture(_SIDE_PX)]
+    while levels[-1].shape[0] > 4:
+        levels.append(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    return tuple(levels)

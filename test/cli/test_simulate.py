@@ -1,0 +1,98 @@
+"""`imgu simulate` as people call it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imgu_ros.cli.main import main
+from imgu_ros.files.images import write_image
+from imgu_ros.simulate.texture import procedural_texture
+from imgu_ros.simulate.truth import read_truth
+
+SMALL = ("simulate", "--size", "64x48", "--frames", "2")
+
+
+def test_default_bag_says_how_to_replay_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "bag"
+    assert main([*SMALL, "--out", str(out), "--seed", "3"]) == 0
+    printed = capsys.readouterr().out
+    assert "2 frames of 64x48, bayer_rggb8; 1 target, 2 true poses" in printed
+    assert f"imgu replay {out} --params-file {out / 'params.yaml'} --truth {out / 'truth.csv'}" in printed
+    assert {p.name for p in out.iterdir()} >= {"metadata.yaml", "poster.png", "truth.csv", "params.yaml"}
+
+
+def test_same_seed_gives_the_same_files(tmp_path: Path) -> None:
+    for name in "ab":
+        assert main([*SMALL, "--out", str(tmp_path / name / "bag"), "--bits", "12", "--pattern", "grbg"]) == 0
+    for name in ("bag.mcap", "truth.csv", "poster.png"):
+        assert (tmp_path / "a/bag" / name).read_bytes() == (tmp_path / "b/bag" / name).read_bytes()
+
+
+def test_several_templates(tmp_path: Path) -> None:
+    paths = [tmp_path / "Left Wall.png", tmp_path / "grey.png"]
+    write_image(paths[0], procedural_texture(60, 80, 1))
+    write_image(paths[1], np.ascontiguousarray(procedural_texture(80, 60, 2)[:, :, 0]))
+    out = tmp_path / "bag"
+    templates = [word for path in paths for word in ("--template", str(path))]
+    assert main([*SMALL, "--out", str(out), *templates, "--width-m", "0.3", "--distortion", "plumb_bob"]) == 0
+    assert {t.target for t in read_truth(out / "truth.csv")} == {"Left_Wall", "grey"}
+    assert main([*SMALL, "--out", str(out), "--targets", "2", "--overwrite"]) == 0
+    assert {t.target for t in read_truth(out / "truth.csv")} == {"poster", "poster_2"}
+    assert not (out / "grey.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--size", "63x48"], "size: 63x48; need even numbers for a Bayer pattern"),
+        (["--size", "4x4"], "size: 4x4; need 32x32"),
+        (["--pattern", "rgbw"], "pattern: 'rgbw'; need one of rggb, bggr, grbg, gbrg"),
+        (["--bits", "9"], "bits: 9; need one of 8, 10, 12, 14, 16"),
+        (["--bits", "12", "--encoding", "mono8"], "bits: 12; need 8 or fewer for mono8"),
+        (["--encoding", "bayer_rgbg8"], "nearest known: 'bayer_rggb8'"),
+        (["--encoding", "mono8", "--pattern", "rggb"], "need one of them"),
+        (["--frames", "0"], "frames: 0; need 1 or more"),
+        (["--rate", "0"], "rate: 0 Hz"),
+        (["--rate", "nan"], "rate: nan Hz"),
+        (["--tilt", "95"], "motion"),
+        (["--width-m", "0"], "width: 0 m; need more than 0"),
+        (["--targets", "0"], "targets: 0; need 1 to 64"),
+        (["--row-padding", "-4"], "row padding: -4 bytes"),
+        (["--seed", "-1"], "seed: -1; need 0 or more"),
+        (["--template", "/nowhere/a.png"], "/nowhere/a.png"),
+        (["--full-well", "-5"], "full_well_e: -5"),
+    ],
+)
+def test_bad_values_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    assert main([*SMALL, "--out", str(tmp_path / "bag"), *options]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("imgu: error: ")
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("options", [["--size", "big"], ["--storage", "tape"], ["--frames", "x"], ["--nonsense"]])
+def test_wrong_usage_is_exit_2(tmp_path: Path, options: list[str]) -> None:
+    assert main([*SMALL, "--out", str(tmp_path / "bag"), *options]) == 2
+
+
+def test_folder_that_is_not_empty_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main([*SMALL, "--out", str(tmp_path)]) == 1
+    assert "need a new or an empty one, or --overwrite" in capsys.readouterr().err
+    assert main([*SMALL, "--out", str(tmp_path), "--overwrite"]) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_place_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main([*SMALL, "--out", str(tmp_path / "file" / "bag")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("imgu: error: ")
+    assert error.count("\n") == 1

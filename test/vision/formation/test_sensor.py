@@ -1,0 +1,104 @@
+"""Photon transfer, quantisation and saturation of the sensor model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.vision.formation.sensor import BIT_DEPTHS, Sensor, expose
+
+
+def flat(level: float, side: int = 400) -> np.ndarray:
+    return np.full((side, side), level, np.float32)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        Sensor(8, full_well_e=10_000, read_noise_e=4, black_level_dn=16),
+        Sensor(12, full_well_e=10_000, read_noise_e=4, black_level_dn=64),
+        Sensor(16, full_well_e=50_000, read_noise_e=12, black_level_dn=1000),
+        Sensor(10, full_well_e=500, read_noise_e=2, black_level_dn=32),
+    ],
+    ids=str,
+)
+def test_photon_transfer(sensor: Sensor) -> None:
+    # EMVA 1288: the variance is a straight line over the mean; slope = gain, offset = read noise and quantisation.
+    rng = np.random.default_rng(3)
+    gain = (2**sensor.bits - 1 - sensor.black_level_dn) / sensor.full_well_e
+    for level in (0.002, 0.02, 0.05, 0.1, 0.3, 0.6, 0.9):
+        pixels = expose(flat(level), sensor, rng).astype(np.float64)
+        mean_e = level * sensor.full_well_e
+        variance = gain**2 * (mean_e + sensor.read_noise_e**2) + 1 / 12
+        # Noise below half a step does not smooth the converter's stairs: neither mean nor variance is then the line's.
+        if variance > 0.3:
+            expected = sensor.black_level_dn + gain * mean_e
+            assert pixels.mean() == pytest.approx(expected, abs=0.01 + 5 * np.sqrt(variance / 160_000))
+            assert pixels.var() == pytest.approx(variance, rel=0.02)  # the sample's own spread is 0.35 %
+        assert sensor.expected_dn(np.array(mean_e)) == pytest.approx(sensor.black_level_dn + gain * mean_e)
+        assert sensor.variance_dn(np.array(mean_e)) == pytest.approx(variance)
+
+
+def test_few_electrons_are_poisson() -> None:
+    # Without read noise and with one step an electron, the numbers are Poisson's own: skewness 1 / sqrt(mean).
+    sensor = Sensor(16, full_well_e=65535, read_noise_e=0)
+    pixels = expose(flat(4 / 65535), sensor, np.random.default_rng(4)).astype(np.float64)
+    centred = pixels - pixels.mean()
+    assert np.mean(pixels == 0) == pytest.approx(np.exp(-4), rel=0.05)
+    assert np.mean(centred**3) / pixels.std() ** 3 == pytest.approx(0.5, abs=0.05)
+
+
+def test_noise_is_white() -> None:
+    pixels = expose(flat(0.4), Sensor(12), np.random.default_rng(5)).astype(np.float64)
+    pixels -= pixels.mean()
+    for shifted in (pixels[1:] * pixels[:-1], pixels[:, 1:] * pixels[:, :-1], pixels[:, 2:] * pixels[:, :-2]):
+        assert abs(shifted.mean()) / pixels.var() < 0.015
+
+
+@pytest.mark.parametrize("bits", BIT_DEPTHS)
+def test_quantisation_and_saturation(bits: int) -> None:
+    # A full well of 1e12 electrons has a relative noise of 1e-6: what remains is the converter.
+    sensor = Sensor(bits, full_well_e=1e12, read_noise_e=0)
+    top = 2**bits - 1
+    ramp = np.linspace(-0.1, 1.2, 4001, dtype=np.float32)[None, :]
+    pixels = expose(ramp, sensor, np.random.default_rng(6))
+    assert pixels.dtype == (np.uint8 if bits == 8 else np.uint16)
+    assert pixels.min() == 0
+    assert pixels.max() == top
+    assert np.abs(pixels - np.clip(ramp.astype(np.float64), 0, 1) * top).max() < 0.5 + 1e-5 * top
+    assert (np.diff(pixels.astype(int)) >= -1).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32), channels=st.sampled_from([1, 3]))
+def test_same_seed_gives_the_same_numbers(seed: int, channels: int) -> None:
+    shape = (8, 6) if channels == 1 else (8, 6, channels)
+    light = np.random.default_rng(seed).random(shape, dtype=np.float32)
+    before = light.copy()
+    a, b = (expose(light, Sensor(), np.random.default_rng(seed)) for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(light, before)
+    assert a.shape == shape
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"bits": 9}, "bits: 9; need one of 8, 10"),
+        ({"full_well_e": 0.0}, "full_well_e"),
+        ({"full_well_e": float("nan")}, "full_well_e"),
+        ({"read_noise_e": -1.0}, "read_noise_e"),
+        ({"black_level_dn": 255.0}, "black_level_dn: 255; need 0 to below 255"),
+    ],
+)
+def test_impossible_sensors_are_refused(values: dict[str, float], message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        Sensor(**values)  # type: ignore[arg-type]
+
+
+def test_light_of_another_type_is_refused() -> None:
+    with pytest.raises(ShapeError, match="light: data type uint8"):
+        expose(np.zeros((4, 4), np.uint8), Sensor(), np.random.default_rng(0))
