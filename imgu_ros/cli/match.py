@@ -62,10 +62,13 @@ def described(result: Result) -> str:
 
     target = result.targets[0]
     keypoints = 0 if result.keypoints is None else len(result.keypoints)
-    matches = 0 if target.matches is None else len(target.matches.matches)
-    lines = [f"{target.name}: {target.status.value}", f"  keypoints   {keypoints}", f"  matches     {matches}"]
+    lines = [f"{target.name}: {target.status.value}", f"  keypoints   {keypoints}"]
+    if target.matches is not None:
+        agree = np.count_nonzero(target.matches.inliers)
+        lines.append(f"  matches     {len(target.matches.matches)}, of which {agree} agree")
     if target.homography is not None and target.outline is not None:
-        lines.append(f"  inliers     {np.count_nonzero(target.homography.inliers)}")
+        inliers = target.homography.inliers
+        lines.append(f"  inliers     {np.count_nonzero(inliers)} of {len(inliers)} points in the final fit")
         lines.append(f"  residual    {target.homography.rms_px:.3f} px rms")
         lines.append("  H           " + "\n              ".join(_row(row) for row in target.homography.H))
         lines.append("  corners     " + ", ".join(f"({x:.2f}, {y:.2f})" for x, y in target.outline) + " px")

@@ -122,9 +122,9 @@ def plot_status(table: FrameTable) -> Figure:
         lower = figure.add_subplot(grid[1], sharex=strip)
         for index, name in enumerate(table.targets):
             rows, color = table.of_target(index), _COLORS[index % len(_COLORS)]
-            suffix = f", {name}" if count > 1 else ""
-            lower.plot(x[rows], table.n_matches[rows], color=color, alpha=0.4, **_marks(rows), label=f"matches{suffix}")
-            lower.plot(x[rows], table.n_inliers[rows], color=color, **_marks(rows), label=f"inliers{suffix}")
+            lower.plot(x[rows], table.n_matches[rows], color=color, alpha=0.35, linestyle=":", label="matches")
+            label = "inliers" if count == 1 else f"inliers, {name}"
+            lower.plot(x[rows], table.n_inliers[rows], color=color, **_marks(rows), label=label)
         lower.set(xlabel=x_name, ylabel="count")
         lower.set_ylim(bottom=0)
         _legend(lower)
@@ -170,7 +170,7 @@ def _over_time(table: FrameTable, panels: list[tuple[str, Floats, Floats | None]
                 label = target if several else ("measured" if predicted is not None else None)
                 axis.plot(x[rows], values[rows], color=color, label=label, **_marks(rows))
                 if predicted is not None:
-                    label = None if several and index else "predicted 1σ"
+                    label = "predicted 1σ"
                     axis.plot(x[rows], predicted[rows], color=color, alpha=0.6, linestyle="--", label=label)
             axis.set_title(name)
             axis.set_ylim(bottom=0)
@@ -223,5 +223,9 @@ def _marks(rows: Mask) -> dict[str, Any]:
 
 
 def _legend(axis: Axes) -> None:
-    if axis.get_legend_handles_labels()[0]:
-        axis.legend(loc="upper right", bbox_to_anchor=(1, 1.12), ncols=4, fontsize=8.5)
+    """Put the legend above the axes, on the right, each name once."""
+    handles, labels = axis.get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))
+    if unique:
+        place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
+        axis.legend(list(unique.values()), list(unique), ncols=6, fontsize=8.5, **place)

@@ -37,7 +37,7 @@ class Sample:
 
 
 class Samples:
-    """Collects samples while frames pass by: about six, evenly spread, and the first three in which nothing was found.
+    """Collects samples while frames pass by: about six, evenly spread, and three in which nothing was found any more.
 
     Every `stride`-th frame is kept; when twice as many as wanted are held, every other one is dropped and the stride
     doubles. So n frames cost O(log n) drawings, and which ones are kept depends on nothing but n.
@@ -47,10 +47,12 @@ class Samples:
         self._stride = 1
         self._even: list[Sample] = []
         self._misses: list[Sample] = []
+        self._is_missing = False
 
     def offer(self, index: int, result: Result) -> None:
         """Look at frame number `index`, and draw it when it is to be kept."""
-        is_miss = len(self._misses) < _MISSES and not any(target.status.found for target in result.targets)
+        was_missing, self._is_missing = self._is_missing, not any(target.status.found for target in result.targets)
+        is_miss = self._is_missing and not was_missing and len(self._misses) < _MISSES
         if index % self._stride and not is_miss:
             return
         sample = _sample(index, result)
