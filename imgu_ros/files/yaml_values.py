@@ -6,6 +6,7 @@ rcl_yaml_param_parser of ROS 2 Jazzy.
 
 from __future__ import annotations
 
+import math
 import re
 
 import yaml
@@ -16,6 +17,7 @@ _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", 
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
 _FLOAT = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_HEX_FLOAT = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?[0-9]+)?")
 _SPECIAL = {".nan": "nan", ".NaN": "nan", ".NAN": "nan", ".inf": "inf", ".Inf": "inf", ".INF": "inf"}
 
 
@@ -59,6 +61,10 @@ def plain_value(node: yaml.Node, name: str) -> object:
         if not isinstance(item, yaml.ScalarNode):
             raise ParameterError(f"{name}: a list in a list; need a list of values")
         values.append(_scalar(item, name))
+    kinds = list(dict.fromkeys(type(value).__name__ for value in values))
+    if len(kinds) > 1:
+        hint = " (write 1.0, not 1)" if set(kinds) == {"int", "float"} else ""
+        raise ParameterError(f"{name}: a list of {' and '.join(kinds)}; need values of one type{hint}")
     return values
 
 
@@ -71,13 +77,26 @@ def _scalar(node: yaml.ScalarNode, name: str) -> object:
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     if _INTEGER.fullmatch(text):
-        return _integer(text, name)
-    if _FLOAT.fullmatch(text):
-        return float(text)
+        return _integer(text)
+    return _float_or_text(text)
+
+
+def _float_or_text(text: str) -> float | str:
+    """Parse as C's strtod, which leaves what is too large to be a text."""
     unsigned = text.lstrip("+-")
-    if unsigned in _SPECIAL and len(text) - len(unsigned) <= 1:
+    if len(text) - len(unsigned) > 1:
+        return text
+    if unsigned in _SPECIAL:
         return float(text.replace(unsigned, _SPECIAL[unsigned]))
-    return text
+    if unsigned.lower() in ("inf", "infinity", "nan"):
+        return float(text)
+    try:
+        if _FLOAT.fullmatch(text):
+            value = float(text)
+            return text if math.isinf(value) else value
+        return float.fromhex(text) if _HEX_FLOAT.fullmatch(text) else text
+    except OverflowError:
+        return text
 
 
 def _is_plain(node: yaml.ScalarNode) -> bool:
@@ -86,14 +105,12 @@ def _is_plain(node: yaml.ScalarNode) -> bool:
     return mark.buffer is None or not mark.buffer[mark.pointer :].startswith("!")
 
 
-def _integer(text: str, name: str) -> int | float:
-    """Parse as C's strtol with base 0: 0x is hexadecimal, a leading 0 octal; 08 is then left to strtod."""
+def _integer(text: str) -> int | float:
+    """Parse as C's strtol with base 0: 0x is hexadecimal, a leading 0 octal; what it refuses is left to strtod."""
     digits = text.lstrip("+-")
     base = 16 if digits[:2] in ("0x", "0X") else 8 if len(digits) > 1 and digits[0] == "0" else 10
     try:
         value = int(text, base)
-    except ValueError:
+    except ValueError:  # 08
         return float(text)
-    if not -(2**63) <= value < 2**63:
-        raise ParameterError(f"{name}: {text}; need an integer of 64 bits")
-    return value
+    return value if -(2**63) <= value < 2**63 else float(value)

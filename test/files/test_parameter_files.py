@@ -16,24 +16,47 @@ def read(tmp_path, text, node_name="perception"):
     return read_parameter_file(tmp_path / "p.yaml", node_name)
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("5", 5), ("-5", -5), ("+5", 5), ("0x1F", 31), ("010", 8), ("08", 8.0), ("0", 0),
-        ("1.5", 1.5), ("1e-3", 0.001), ("-.5", -0.5), ("1.", 1.0), (".inf", float("inf")), ("-.inf", float("-inf")),
-        ("true", True), ("False", False), ("on", True), ("N", False), ("yes", True), ("tRuE", "tRuE"),
-        ("'5'", "5"), ('"true"', "true"), ("!!str 5", "5"), ("rggb", "rggb"), ("1:30", "1:30"),
-        ("2001-01-01", "2001-01-01"),
-        ("null", "null"), ("~", "~"), ("~/poster.png", "~/poster.png"), ("a:=b", "a:=b"), ("''", ""),
-        ("[1, 2]", [1, 2]), ("[1.0, 2e1]", [1.0, 20.0]), ("[a, 'b c', '']", ["a", "b c", ""]), ("[]", []),
-        ("[true, off]", [True, False]), (" 5 # why", 5), ("1_000", "1_000"), ("=", "="),
-    ],
-)  # fmt: skip
+VALUES = {
+    "5": 5, "-5": -5, "+5": 5, "0x1F": 31, "010": 8, "08": 8.0, "0": 0, "-0x10": -16,
+    "1.5": 1.5, "1e-3": 0.001, "-.5": -0.5, "1.": 1.0, ".inf": float("inf"), "-.inf": float("-inf"),
+    ".nan": float("nan"), "inf": float("inf"), "Infinity": float("inf"), "0x1p3": 8.0, "1e400": "1e400", "99999999999999999999": 1e20,
+    "true": True, "False": False, "on": True, "N": False, "yes": True, "tRuE": "tRuE",
+    "'5'": "5", '"true"': "true", "!!str 5": "5", "rggb": "rggb", "1:30": "1:30", "2001-01-01": "2001-01-01",
+    "null": "null", "~": "~", "~/poster.png": "~/poster.png", "a:=b": "a:=b", "''": "", "0x": "0x", "1e": "1e",
+    "[1, 2]": [1, 2], "[1.0, 2e1]": [1.0, 20.0], "[a, 'b c', '']": ["a", "b c", ""],
+    "[true, off]": [True, False], " 5 # why": 5, "1_000": "1_000", "=": "=",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "value"), [*VALUES.items(), ("[]", [])])
 def test_values_mean_what_they_mean_in_ros(text, value):
     name, got = parse_override(f"seed:={text}")
     assert name == "seed"
-    assert got == value
-    assert type(got) is type(value)
+    assert repr(got) == repr(value)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # rclpy's own, at import
+def test_ros_itself_reads_the_same_values(ros_domain):
+    rclpy = pytest.importorskip("rclpy", reason="needs the ros extra")
+    from rclpy.node import Node
+
+    arguments = ["--ros-args"]
+    for i, text in enumerate(VALUES):
+        arguments += ["-p", f"x{i}:={text}"]
+    context = rclpy.Context()
+    rclpy.init(args=arguments, context=context)
+    try:
+        node = Node(
+            "values", context=context, automatically_declare_parameters_from_overrides=True,
+            start_parameter_services=False, enable_rosout=False,
+        )  # fmt: skip
+        for i, text in enumerate(VALUES):
+            value = node.get_parameter(f"x{i}").value
+            value = value.tolist() if hasattr(value, "tolist") else value
+            assert repr(value) == repr(parse_override(f"x:={text}")[1]), text
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +65,8 @@ def test_values_mean_what_they_mean_in_ros(text, value):
         ("seed=5", "need NAME:=VALUE"), (":=5", "need NAME:=VALUE"), ("seed", "need NAME:=VALUE"),
         ("", "need NAME:=VALUE"), ("seed:=", "no value"), ("seed:=[1", "need valid YAML"),
         ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"), ("seed:=[[1]]", "a list in a list"),
-        ("seed:=[*a]", "need"), ("seed:=a: b: c", "need valid YAML"), ("seed:=99999999999999999999", "64 bits"),
+        ("seed:=[*a]", "need"), ("seed:=a: b: c", "need valid YAML"), ("seed:=[1, 2.0]", "write 1.0, not 1"),
+        ("seed:=[1, a]", "a list of int and str; need values of one type"),
         ("seed:=[1,,]", "need valid YAML"), ("seed:=\x00", "need valid YAML"),
     ],
 )  # fmt: skip
