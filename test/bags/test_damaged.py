@@ -62,9 +62,7 @@ def test_the_loss_is_said_with_bytes_and_time(tmp_path, tiny_mcap):
     (tmp_path / "cut.mcap").write_bytes(data[: whole.offsets[2][0] + 20])
     got, warnings = read(tmp_path / "cut.mcap")
     assert len(got) == 2
-    assert warnings == (
-        "cut.mcap: cut short or damaged: its last 20 bytes are incomplete; read until 1.500000001 s",
-    )
+    assert warnings == ("cut.mcap: cut short or damaged: its last 20 bytes are incomplete; read until 1.500000001 s",)
 
 
 def test_messages_outside_of_chunks_survive_a_cut(tmp_path, tiny_mcap):

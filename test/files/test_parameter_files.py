@@ -19,7 +19,8 @@ def read(tmp_path, text, node_name="perception"):
 VALUES = {
     "5": 5, "-5": -5, "+5": 5, "0x1F": 31, "010": 8, "08": 8.0, "0": 0, "-0x10": -16,
     "1.5": 1.5, "1e-3": 0.001, "-.5": -0.5, "1.": 1.0, ".inf": float("inf"), "-.inf": float("-inf"),
-    ".nan": float("nan"), "inf": float("inf"), "Infinity": float("inf"), "0x1p3": 8.0, "1e400": "1e400", "99999999999999999999": 1e20,
+    ".nan": float("nan"), "inf": float("inf"), "Infinity": float("inf"), "0x1p3": 8.0, "1e400": "1e400",
+    "99999999999999999999": 1e20,
     "true": True, "False": False, "on": True, "N": False, "yes": True, "tRuE": "tRuE",
     "'5'": "5", '"true"': "true", "!!str 5": "5", "rggb": "rggb", "1:30": "1:30", "2001-01-01": "2001-01-01",
     "null": "null", "~": "~", "~/poster.png": "~/poster.png", "a:=b": "a:=b", "''": "", "0x": "0x", "1e": "1e",
