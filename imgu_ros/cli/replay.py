@@ -63,8 +63,10 @@ def accuracy_table(summary: Summary) -> str:
         lines += _target_lines(target)
     lines.append(f"{summary.frames} frames, {summary.rejected} rejected, {figures(summary.frames_per_s)} frames/s")
     if summary.total_ms is not None:
-        stages = [f"{name} {figures(times.p50, 2)}" for name, times in summary.stage_ms.items()]
-        lines.append(f"ms a frame (p50): {figures(summary.total_ms.p50)} = {', '.join(stages)}")
+        lines.append("ms, p50 / p95")
+        for name, times in (*summary.stage_ms.items(), ("whole frame", summary.total_ms)):
+            where = "" if times.count == summary.frames else f"   in {times.count} frames"
+            lines.append(f"  {name:<32}{figures(times.p50)} / {figures(times.p95)}{where}")
     return "\n".join(lines)
 
 

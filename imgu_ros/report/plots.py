@@ -150,7 +150,7 @@ def plot_times(table: FrameTable) -> Figure | None:
         bars.set_yticks(range(len(ran)), [list(Stage)[i].value for i in ran])
         bars.invert_yaxis()
         bars.grid(visible=False, axis="y")
-        bars.set(xlabel="ms", title="each stage")
+        bars.set(xlabel="ms", title="each stage, where it ran")
         _legend(bars)
         line.plot(x[rows], total, color=_COLORS[0], **_marks(rows))
         line.set(xlabel=x_name, ylabel="ms", title="the whole frame")

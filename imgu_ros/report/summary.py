@@ -19,8 +19,9 @@ from imgu_ros.types import Floats
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """How a quantity is distributed over frames."""
+    """How a quantity is distributed over the frames that have it."""
 
+    count: int
     mean: float
     p50: float
     p95: float
@@ -141,7 +142,7 @@ def percentiles(values: Floats) -> Percentiles | None:
     if not len(known):
         return None
     p50, p95 = np.percentile(known, (50, 95))
-    return Percentiles(float(known.mean()), float(p50), float(p95), float(known.max()))
+    return Percentiles(len(known), float(known.mean()), float(p50), float(p95), float(known.max()))
 
 
 def _target_summary(table: FrameTable, index: int) -> TargetSummary:

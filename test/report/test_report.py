@@ -106,7 +106,7 @@ def test_summary_counts(make_result: MakeResult, tmp_path: Path) -> None:
 
 def test_percentiles() -> None:
     assert percentiles(np.array([np.nan, np.nan])) is None
-    assert percentiles(np.array([3.0, np.nan, 1.0, 2.0])) == Percentiles(2.0, 2.0, pytest.approx(2.9), 3.0)
+    assert percentiles(np.array([3.0, np.nan, 1.0, 2.0])) == Percentiles(3, 2.0, 2.0, pytest.approx(2.9), 3.0)
 
 
 @pytest.mark.parametrize(
