@@ -7,7 +7,7 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.params import DemosaicParameters, RawParameters
-from imgu_ros.types import Image
+from imgu_ros.types import Image, as_image
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
@@ -29,6 +29,19 @@ _TO_GREY = {
     ColorModel.YUYV: cv2.COLOR_YUV2GRAY_YUY2,
 }
 
+#: Channels of a pixel; 1 stands for a two-dimensional array.
+_CHANNELS = {
+    ColorModel.BAYER: 1,
+    ColorModel.MONO: 1,
+    ColorModel.RGB: 3,
+    ColorModel.BGR: 3,
+    ColorModel.RGBA: 4,
+    ColorModel.BGRA: 4,
+    ColorModel.ARGB: 4,
+    ColorModel.UYVY: 2,
+    ColorModel.YUYV: 2,
+}
+
 
 class Developed:
     """A frame's pictures.
@@ -39,7 +52,8 @@ class Developed:
     """
 
     def __init__(self, image: RawImage, raw: RawParameters, method: DemosaicMethod) -> None:
-        self._image = image
+        self._layout = image.layout
+        self._pixels = _checked_pixels(image)
         self._raw = raw
         self._method = method
         self._color: Image | None = None
@@ -55,9 +69,17 @@ class Developed:
         return self._color
 
     def _developed_grey(self) -> Image:
-        pixels, layout = self._image.pixels, self._image.layout
+        pixels, layout = self._pixels, self._layout
+        black, white = self._raw.black_level, self._white_level()
+        if white is not None and white <= black:
+            raise ShapeError(f"raw.black_level: {black:g}; need less than the white level, {white:g}")
         if layout.color is ColorModel.BAYER and layout.pattern is not None:
-            balanced = with_levels(pixels, layout.pattern, 0.0, 0.0, self._raw.gains)
+            balanced = pixels
+            if any(gain != 1.0 for gain in self._raw.gains):
+                # Gains hold for what lies above black; a range as wide as the data type's scales nothing else.
+                top = float(np.iinfo(pixels.dtype).max)
+                balanced = with_levels(pixels, layout.pattern, black, black + top, self._raw.gains)
+                black, white = 0.0, None if white is None else white - black
             if self._method is DemosaicMethod.BILINEAR:
                 grey = grey_from_mosaic(balanced, layout.pattern)
             else:
@@ -67,13 +89,13 @@ class Developed:
         elif layout.color is ColorModel.ARGB:
             grey = cv2.cvtColor(np.ascontiguousarray(pixels[..., 1:]), cv2.COLOR_RGB2GRAY)
         elif layout.color is ColorModel.MONO:
-            grey = np.ascontiguousarray(pixels)
+            grey = pixels
         else:
-            grey = cv2.cvtColor(np.ascontiguousarray(pixels), _TO_GREY[layout.color])
-        return stretched_to_8_bit(grey, self._raw.black_level, self._white_level())
+            grey = cv2.cvtColor(pixels, _TO_GREY[layout.color])
+        return stretched_to_8_bit(grey, black, white)
 
     def _developed_color(self) -> Image:
-        pixels, layout = self._image.pixels, self._image.layout
+        pixels, layout = self._pixels, self._layout
         if layout.color is ColorModel.BAYER and layout.pattern is not None:
             # Black and white level are applied only where they are known: colours keep the input's depth.
             leveled = with_levels(
@@ -83,30 +105,35 @@ class Developed:
         if layout.color is ColorModel.BANDS:
             return cv2.cvtColor(self.grey, cv2.COLOR_GRAY2RGB)
         if layout.color is ColorModel.RGB:
-            return np.ascontiguousarray(pixels)
+            return pixels
         if layout.color is ColorModel.ARGB:
             return np.ascontiguousarray(pixels[..., 1:])
-        return cv2.cvtColor(np.ascontiguousarray(pixels), _TO_RGB[layout.color])
+        return cv2.cvtColor(pixels, _TO_RGB[layout.color])
 
     def _mean_of_bands(self) -> Image:
-        pixels = self._image.pixels
-        if pixels.ndim == 2:
-            pixels = pixels[:, :, None]
+        pixels = self._pixels if self._pixels.ndim == 3 else self._pixels[:, :, None]
         chosen = list(self._raw.bands) or list(range(pixels.shape[2]))
         if max(chosen) >= pixels.shape[2]:
             raise ShapeError(f"raw.bands: {max(chosen)}; need 0 to {pixels.shape[2] - 1} (the image's bands)")
         if len(chosen) == 1 and pixels.dtype in (np.uint8, np.uint16):
             return np.ascontiguousarray(pixels[:, :, chosen[0]])
-        mean = np.mean(pixels[:, :, chosen], axis=2, dtype=np.float64)
-        return np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):
+            mean = np.mean(pixels[:, :, chosen], axis=2, dtype=np.float64)
+        if pixels.dtype.kind == "f":
+            # Pixels without a value are dark, and must not stretch the range of the others.
+            valid = np.isfinite(mean)
+            mean[~valid] = mean[valid].min() if valid.any() else 0.0
+            largest = float(np.finfo(np.float32).max)
+            np.clip(mean, -largest, largest, out=mean)
+        return mean.astype(np.float32)
 
     def _white_level(self) -> float | None:
         """The raw value of full scale, or None when the data are to tell."""
         if self._raw.white_level > 0:
             return self._raw.white_level
-        if self._image.pixels.dtype == np.uint16 and self._raw.significant_bits > 0:
+        if self._pixels.dtype == np.uint16 and self._raw.significant_bits > 0:
             return float(2**self._raw.significant_bits - 1)
-        return 255.0 if self._image.pixels.dtype == np.uint8 else None
+        return 255.0 if self._pixels.dtype == np.uint8 else None
 
 
 def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameters) -> Developed:
@@ -119,6 +146,27 @@ def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameter
     Raises
     ------
     ShapeError
-        If the pixels do not fit their layout or `raw.bands` names a band that the image lacks.
+        If the pixels do not fit their layout, `raw.bands` names a band that the image lacks, or the black level is
+        not below the white level.
     """
     return Developed(image, raw, DemosaicMethod(demosaicking.method))
+
+
+def _checked_pixels(image: RawImage) -> Image:
+    """Return the pixels in native byte order and without gaps between rows, when they fit their layout."""
+    pixels, layout = image.pixels, image.layout
+    if layout.color is ColorModel.BANDS:
+        if not isinstance(pixels, np.ndarray) or pixels.ndim not in (2, 3) or not pixels.size:
+            shape = getattr(pixels, "shape", type(pixels).__name__)
+            raise ShapeError(f"pixels: {shape}; need (H, W) or (H, W, N) with at least one pixel")
+        if pixels.dtype.kind not in "uif":
+            raise ShapeError(f"pixels: data type {pixels.dtype}; need real numbers")
+        return np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("="))
+    if layout.color is ColorModel.BAYER and layout.pattern is None:
+        raise ShapeError("layout: a Bayer image without a pattern; need one")
+    packed = layout.color in (ColorModel.UYVY, ColorModel.YUYV)
+    dtypes = (np.uint8,) if packed else (np.uint8, np.uint16)
+    pixels = as_image(pixels, "pixels", (_CHANNELS[layout.color],), dtypes)
+    if packed and pixels.shape[1] % 2:
+        raise ShapeError(f"pixels: shape {pixels.shape}; need an even width for {layout.color}")
+    return pixels

@@ -11,7 +11,7 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.result import PoseStatus, TargetResult
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Points
+from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
 from imgu_ros.vision.projective.homography import HomographyEstimate
@@ -29,11 +29,13 @@ class Located:
     ----------
     template_xy, image_xy : (N, 2) correspondences without outliers, template px and raw px
     homography : H_image_template in ideal px
+    correlation : (N, N) of the errors in image_xy; None: independent
     """
 
     template_xy: Points
     image_xy: Points
     homography: HomographyEstimate
+    correlation: Floats | None = None
 
 
 def bending(camera: Camera | None) -> Camera | None:
@@ -59,7 +61,9 @@ def posed(
     if target.width_m == 0:
         return replace(found, pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
     try:
-        poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
+        poses = planar_poses(
+            target.to_metres(located.template_xy), located.image_xy, camera, correlation=located.correlation
+        )
     except EstimationError as error:
         return replace(found, reason=str(error))
     ambiguous = poses.ambiguity > parameters.pose.ambiguity_ratio

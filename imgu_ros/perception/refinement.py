@@ -11,8 +11,9 @@ import numpy as np
 from imgu_ros.errors import NoConsensus
 from imgu_ros.params import RefinementParameters
 from imgu_ros.perception.targets import AlignmentLevel, Target
-from imgu_ros.types import Image, Matrix3, Points
+from imgu_ros.types import Floats, Image, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.projective.dlt import homography_dlt
 from imgu_ros.vision.projective.estimate import estimate_homography, fit_homography
@@ -44,12 +45,14 @@ class Alignment:
     template_xy : (N, 2) template px
     image_xy : (N, 2) raw px
     homography : H_image_template in ideal px, of these points; every one is an inlier
+    correlation : (N, N) of the errors in image_xy: patches that share pixels share their errors
     sought : patches that were looked for
     """
 
     template_xy: Points
     image_xy: Points
     homography: HomographyEstimate
+    correlation: Floats
     sought: int
 
 
@@ -95,7 +98,7 @@ def refine_by_alignment(
     )
     # Drawn once more where it truly is, no patch is turned or stretched against the frame any longer.
     fine = _follow(grey, target, consensus.H, camera, parameters, min_points, 0)
-    return _trimmed(fine, consensus.H, min_points)
+    return _trimmed(fine, consensus.H, min_points, parameters.window_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,21 +157,24 @@ def _follow(
     return _Followed(template_xy[valid], image_xy[valid], ideal[valid], sought)
 
 
-def _trimmed(followed: _Followed, H: Matrix3, min_points: int) -> Alignment:
+def _trimmed(followed: _Followed, H: Matrix3, min_points: int, window_px: int) -> Alignment:
     """Fit by least squares, leaving out what is improbably far off at the fit's own robust scale."""
     template_xy, ideal = followed.template_xy, followed.ideal_xy
     kept = np.hypot(*(transform(H, template_xy) - ideal).T) <= _CONSENSUS_PX
     for _ in range(_TRIMMINGS):
         if np.count_nonzero(kept) < min_points:
             raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
-        fit = fit_homography(template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H)
+        correlation = window_correlation(followed.image_xy[kept], window_px)
+        fit = fit_homography(
+            template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H, correlation=correlation
+        )
         H = fit.H
         distance = np.hypot(*(transform(H, template_xy) - ideal).T)
         sigma = float(np.median(distance[kept])) / _RAYLEIGH_MEDIAN
         previous, kept = kept, distance <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX)
         if np.array_equal(previous, kept):
             break
-    return Alignment(template_xy[previous], followed.image_xy[previous], fit, followed.sought)
+    return Alignment(template_xy[previous], followed.image_xy[previous], fit, correlation, followed.sought)
 
 
 def _fitting_level(target: Target, H: Matrix3) -> AlignmentLevel:

@@ -135,4 +135,4 @@ def _aligned(
         require_plausible(target, aligned.homography)
     except EstimationError:
         return located
-    return Located(aligned.template_xy, aligned.image_xy, aligned.homography)
+    return Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.correlation)

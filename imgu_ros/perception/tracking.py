@@ -111,7 +111,7 @@ def follow(
 
 def located(alignment: Alignment) -> Located:
     """Return the place that an alignment tells."""
-    return Located(alignment.template_xy, alignment.image_xy, alignment.homography)
+    return Located(alignment.template_xy, alignment.image_xy, alignment.homography, alignment.correlation)
 
 
 def _starts(track: Track, target: Target, stamp_ns: int) -> tuple[Matrix3, ...]:

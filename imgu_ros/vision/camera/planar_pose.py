@@ -18,6 +18,7 @@ from imgu_ros.types import Floats, Matrix3, Points, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rotation import exp_so3
+from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.projective.estimate import require_spread
 
@@ -36,7 +37,13 @@ class PlanarPoses:
     ambiguity: float
 
 
-def planar_poses(plane_xy: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: float | None = None) -> PlanarPoses:
+def planar_poses(
+    plane_xy: ArrayLike,
+    pixels: ArrayLike,
+    camera: Camera,
+    noise_px: float | None = None,
+    correlation: Floats | None = None,
+) -> PlanarPoses:
     """Estimate camera_from_plane from correspondences without outliers.
 
     Parameters
@@ -45,10 +52,11 @@ def planar_poses(plane_xy: ArrayLike, pixels: ArrayLike, camera: Camera, noise_p
     pixels : (N, 2) raw px, distortion and all
     camera : intrinsics
     noise_px : standard deviation of a pixel coordinate; None: from the residuals
+    correlation : (N, N) correlation of the errors of different points; None: independent
 
     Returns
     -------
-    Poses with covariance sigma^2 (J^T J)^-1.
+    Poses with their covariance by `propagated_covariance`.
 
     Raises
     ------
@@ -61,10 +69,11 @@ def planar_poses(plane_xy: ArrayLike, pixels: ArrayLike, camera: Camera, noise_p
     require_spread(plane_xy, "plane_xy")
     normalized, valid = camera.undistort(pixels)
     require_spread(normalized[valid], "pixels")
+    among_valid = None if correlation is None else correlation[np.ix_(valid, valid)]
     refined = []
     for start in _ippe(plane_xy[valid], normalized[valid]):
         try:
-            refined.append(_refined(plane_xy[valid], pixels[valid], camera, start, noise_px))
+            refined.append(_refined(plane_xy[valid], pixels[valid], camera, start, noise_px, among_valid))
         except EstimationError:
             continue  # a start behind the camera or at a grazing angle is no solution
     if not refined:
@@ -138,18 +147,18 @@ def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
     return starts
 
 
-def _refined(plane_xy: Points, pixels: Points, camera: Camera, start: Matrix3, noise_px: float | None) -> Pose:
+def _refined(
+    plane_xy: Points,
+    pixels: Points,
+    camera: Camera,
+    start: Matrix3,
+    noise_px: float | None,
+    correlation: Floats | None,
+) -> Pose:
     minimum = minimise(_PoseProblem(plane_xy, pixels, camera), start, max_iterations=30)
-    squared = float((minimum.linearisation.residuals**2).sum())
-    sigma = noise_px if noise_px is not None else math.sqrt(squared / max(2 * len(pixels) - 6, 1))
-    normal = minimum.normal_matrix
-    scale = np.sqrt(np.diag(normal))
-    try:
-        inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    except np.linalg.LinAlgError:
-        raise DegenerateConfiguration("pose: not determined by the points; need points that span the plane") from None
     R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
-    return Pose(R, t, sigma**2 * (inverse + inverse.T) / 2, math.sqrt(squared / (2 * len(pixels))))
+    rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
+    return Pose(R, t, propagated_covariance(minimum, noise_px, correlation), rms)
 
 
 def _same(a: Pose, b: Pose) -> bool:

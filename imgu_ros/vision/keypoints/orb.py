@@ -1,10 +1,11 @@
-"""ORB's detector: FAST corners ranked by Harris' response, oriented by the intensity centroid (notes 5.5; Rublee 2011)."""
+"""ORB corners: FAST ranked by Harris, oriented by the intensity centroid (notes 5.5; Rublee 2011)."""
 
 from __future__ import annotations
 
 import cv2
+import numpy as np
 
-from imgu_ros.types import Image
+from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.opencv import corners_from_opencv
 
@@ -25,6 +26,7 @@ def detect_orb(image: Image, max_count: int) -> Corners:
     image : (H, W) uint8
     max_count : wanted number; up to twice as many are returned, for spreading to choose from
     """
+    image = as_image(image, dtypes=(np.uint8,))
     if min(image.shape) <= PATCH_PX:
         return corners_from_opencv([], SIGMA_PER_SIZE, with_angle=True)
     detector = cv2.ORB.create(

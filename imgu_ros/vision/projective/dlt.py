@@ -1,4 +1,4 @@
-"""The direct linear transformation: a homography from points, linearly (notes 6.5, 7.2; HZ section 4.1, algorithm 4.2)."""
+"""The direct linear transformation: a homography from points (notes 6.5, 7.2; HZ section 4.1, algorithm 4.2)."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
+from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Minimiser, minimise
 from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
@@ -92,6 +93,7 @@ def fit_homography(
     refine: Minimiser | str | None = Minimiser.LEVENBERG_MARQUARDT,
     start: Matrix3 | None = None,
     noise_px: float | None = None,
+    correlation: Floats | None = None,
 ) -> HomographyEstimate:
     """Fit H with dst ~ H src to correspondences without outliers.
 
@@ -101,11 +103,12 @@ def fit_homography(
     error, refine : what is minimised, and how; refine None (or error algebraic): the linear fit
     start : where the refinement starts; None: the linear fit
     noise_px : standard deviation of one coordinate; None: from the residuals, which needs N >= 5
+    correlation : (N, N) correlation of the errors of different correspondences; None: independent
 
     Returns
     -------
-    With every correspondence an inlier and no iterations. Covariance: sigma^2 (J^T J)^-1 on the tangent of the
-    unit sphere that H lies on (HZ section 5.2, result 5.11).
+    With every correspondence an inlier and no iterations. Covariance: `propagated_covariance` on
+    the tangent of the unit sphere that H lies on.
 
     Raises
     ------
@@ -130,8 +133,8 @@ def fit_homography(
     minimum = minimise(problem, scaled, refine or Minimiser.GAUSS_NEWTON, max_iterations=30 if refined else 0)
     if not faces_camera(minimum.estimate, _mapped(T_src, src)):
         raise DegenerateConfiguration("H: the refined plane passes through the camera; need better spread points")
-    sigma = noise_px * T_dst[0, 0] if noise_px is not None else _noise(minimum.linearisation.residuals)
-    covariance = sigma**2 * _inverse(minimum.normal_matrix)
+    noise = None if noise_px is None else noise_px * float(T_dst[0, 0])
+    covariance = propagated_covariance(minimum, noise, correlation)
     basis = tangent_basis(minimum.estimate)
     H, by_scaled = _unscaled(minimum.estimate, T_src, T_dst)
     spread_out = by_scaled @ basis
@@ -175,25 +178,6 @@ def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
 
 def _mapped(T: Matrix3, points: Points) -> Points:
     return points @ T[:2, :2].T + T[:2, 2]
-
-
-def _noise(residuals: Floats) -> float:
-    """Return the standard deviation of one residual: their sum of squares over the degrees of freedom.
-
-    Symmetric residuals say the same thing twice, so that the normal matrix counts it twice; as their sum of squares
-    does too, and the degrees of freedom do not, the covariance comes out right.
-    """
-    return math.sqrt(float((residuals**2).sum()) / max(2 * len(residuals) - 8, 1))
-
-
-def _inverse(normal: Floats) -> Floats:
-    scale = np.sqrt(np.diag(normal))
-    if not (scale > 0).all():
-        raise DegenerateConfiguration("H: a parameter has no effect on the points; need points that span the plane")
-    try:
-        return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale), np.float64)
-    except np.linalg.LinAlgError:
-        raise DegenerateConfiguration("H: not determined by the points; need points that span the plane") from None
 
 
 def _unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, Floats]:

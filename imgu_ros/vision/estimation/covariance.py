@@ -1,0 +1,70 @@
+"""The covariance of a least-squares estimate, by propagation (HZ section 5.2, result 5.11)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imgu_ros.errors import DegenerateConfiguration, ShapeError
+from imgu_ros.types import Floats
+from imgu_ros.vision.estimation.nonlinear import Minimum
+
+
+def propagated_covariance(minimum: Minimum, noise: float | None = None, correlation: Floats | None = None) -> Floats:
+    """Return the covariance of the parameters at a minimum, (P, P).
+
+    With errors of standard deviation sigma and correlation C between measurements it is
+    sigma^2 (J^T J)^-1 J^T C J (J^T J)^-1, which for independent errors is sigma^2 (J^T J)^-1.
+
+    Parameters
+    ----------
+    minimum : a plain least-squares minimum of N measurements of D coordinates
+    noise : sigma of one residual; None: from the residuals, divided by the degrees of freedom that the fit left
+    correlation : (N, N) correlation of the measurements' errors, the same for every coordinate; None: independent
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If the measurements do not determine the parameters.
+    ShapeError
+        If the correlation is not (N, N).
+    """
+    jacobian, residuals = minimum.linearisation.jacobian, minimum.linearisation.residuals
+    count, _, parameters = jacobian.shape
+    normal = minimum.normal_matrix
+    inverse = _inverse(normal)
+    taken = float(parameters)
+    if correlation is not None:
+        if correlation.shape != (count, count):
+            raise ShapeError(f"correlation: shape {correlation.shape}; need ({count}, {count})")
+        middle = np.einsum("ndp,ndq->pq", jacobian, np.tensordot(correlation, jacobian, 1))
+        # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
+        taken = float(np.trace(inverse @ middle))
+        inverse = inverse @ middle @ inverse
+    if noise is None:
+        # A correspondence is worth two coordinates, also where symmetric residuals (D = 4) say them twice:
+        # the sum of squares and the normal matrix are then both doubled, and the covariance comes out right.
+        freedom = max(2 * count - taken, 1.0)
+        noise = float(np.sqrt((residuals**2).sum() / freedom))
+    return noise**2 * (inverse + inverse.T) / 2
+
+
+def window_correlation(xy: Floats, side: float) -> Floats:
+    """Return the correlation of errors of patches that share pixels, (N, N): the share of a window that overlaps.
+
+    Parameters
+    ----------
+    xy : (N, 2) px, centres of square windows
+    side : px, of the windows
+    """
+    apart = np.abs(xy[:, None, :] - xy[None, :, :])
+    return np.asarray(np.clip(1 - apart / side, 0, None).prod(axis=2), np.float64)
+
+
+def _inverse(normal: Floats) -> Floats:
+    scale = np.sqrt(np.diag(normal))
+    if not (np.isfinite(scale).all() and (scale > 0).all()):
+        raise DegenerateConfiguration("covariance: a parameter has no effect on the measurements; need more of them")
+    try:
+        return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale), np.float64)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration("covariance: the measurements do not determine the parameters") from None
