@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from imgu_ros.perception.targets import TargetImage
     from imgu_ros.simulate.recording import BagFormat
-    from imgu_ros.simulate.sequence import Simulation, check_simulation
+    from imgu_ros.simulate.sequence import Simulation
     from imgu_ros.vision.camera.intrinsics import Camera
 
 HELP = "write a bag of a simulated camera with exact ground truth"

@@ -16,7 +16,7 @@ _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 #: Largest distance of neighbouring samples, in level pixels: at sqrt(2) the triangle of linear interpolation still
 #: covers the plane without holes, and level spacing sqrt(2) keeps it above 1.
 _LARGEST_STEP = math.sqrt(2.0)
-_MOST_PIXELS = 24_000_000
+_MOST_PIXELS = 16_000_000
 _MOST_MAGNIFIED = 8.0
 
 

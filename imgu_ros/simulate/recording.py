@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -91,7 +92,7 @@ def record_simulation(
     _check_format(bag_format, encoding, simulation.sensor)
     targets = tuple(targets) if targets is not None else default_targets(1, simulation.seed)
     # The first frame is made before the folder is touched: it raises what is wrong with the simulation.
-    frames = simulate_sequence(simulation, targets)
+    frames = simulate_sequence(simulation, targets, workers=min(4, os.cpu_count() or 1))
     pending = next(frames, None)
     _prepare_folder(out, overwrite)
     truths: list[Truth] = []

@@ -25,7 +25,7 @@ from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 #: Samples along each side of a pixel.
 SAMPLES = 3
 
-_STRIP_ROWS = 64
+_STRIP_ROWS = 128
 _EDGE_POINTS = 48
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,7 +75,10 @@ class SimulatedFrame:
 
 
 def simulate_sequence(
-    simulation: Simulation | None = None, targets: Sequence[TargetImage] | None = None
+    simulation: Simulation | None = None,
+    targets: Sequence[TargetImage] | None = None,
+    *,
+    workers: int = 1,
 ) -> Iterator[SimulatedFrame]:
     """Yield the frames of a sequence, in order of time.
 
@@ -81,6 +86,7 @@ def simulate_sequence(
     ----------
     simulation : what to simulate; None: 60 frames of 1280x720, Bayer RGGB, 8 bits
     targets : printed images before the camera, their widths known; None: `default_targets(1, seed)`
+    workers : threads; more than 1 make frames ahead while the caller is busy, which spoils the timing of its work
 
     Raises
     ------
@@ -94,8 +100,22 @@ def simulate_sequence(
     camera = camera_of(simulation)
     scene = arrange_scene(targets if targets is not None else default_targets(1, simulation.seed), simulation.seed)
     renderer = Renderer(scene, camera, simulation.layout)
-    for index in range(simulation.frames):
-        yield _frame(index, simulation, scene, camera, renderer)
+    if workers <= 1:
+        for index in range(simulation.frames):
+            yield _frame(index, simulation, scene, camera, renderer)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        pending: deque[Future[SimulatedFrame]] = deque()
+        try:
+            for index in range(simulation.frames):
+                pending.append(pool.submit(_frame, index, simulation, scene, camera, renderer))
+                if len(pending) > workers:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()
 
 
 def default_targets(count: int = 1, seed: int = 0, width_m: float = 0.5) -> tuple[TargetImage, ...]:

@@ -74,6 +74,19 @@ def test_noise_of_one_frame_does_not_depend_on_the_others() -> None:
     np.testing.assert_array_equal(long[0].frame.image.pixels, short[0].frame.image.pixels)
 
 
+def test_threads_change_nothing() -> None:
+    alone, together = (list(simulate_sequence(SMALL, TARGETS, workers=n)) for n in (1, 3))
+    assert len(together) == 4
+    for a, b in zip(alone, together, strict=True):
+        assert a.frame.stamp_ns == b.frame.stamp_ns
+        np.testing.assert_array_equal(a.frame.image.pixels, b.frame.image.pixels)
+    abandoned = simulate_sequence(replace(SMALL, frames=1000), TARGETS, workers=2)
+    next(abandoned)
+    abandoned.close()  # type: ignore[attr-defined]
+    with pytest.raises(ShapeError, match="width"):
+        next(simulate_sequence(SMALL, [replace(TARGETS[0], width_m=0.0)], workers=2))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
