@@ -18,8 +18,9 @@ from imgu_ros.ros.middleware import large_message_warnings
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, image_qos, overridable, override_names
 
-#: An image whose camera_info has not come by then goes without.
-_PATIENCE_S = 0.3
+#: An image whose camera_info has not come by then goes without: where somebody publishes camera_info, and where nobody.
+_PATIENCE_S = 1.0
+_SHORT_PATIENCE_S = 0.3
 #: Without images for this long, something is wrong.
 _SILENCE_S = 5.0
 
@@ -73,6 +74,7 @@ class ImageInput:
         self._unmatched_before = 0
         self._image: Subscription | None = None
         self._camera_info: Subscription | None = None
+        self._was_overdue = False
         self._opened_s = 0.0
         self._last_s = 0.0
         self._warned_of_size = False
@@ -132,8 +134,14 @@ class ImageInput:
 
     def check_waiting(self) -> None:
         """Let an image go that has waited too long for its camera_info; to be called a few times a second."""
-        if self._image is not None and time.monotonic() - self._last_s > _PATIENCE_S:
+        if self._image is None:
+            return
+        expected = self._node.count_publishers(self.topics.camera_info) > 0
+        overdue = time.monotonic() - self._last_s > (_PATIENCE_S if expected else _SHORT_PATIENCE_S)
+        # Twice in a row: timers come first when the process was held up, and the camera_info may be there already.
+        if overdue and self._was_overdue:
             self._hand_over(self._pairing.flush())
+        self._was_overdue = overdue
 
     def why_silent(self) -> str:
         """Return why no image comes; empty when images come or may still do."""

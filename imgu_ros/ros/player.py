@@ -36,7 +36,7 @@ _POLL_S = 0.02
 _REMIND_S = 5.0
 _CLOCK_PERIOD_S = 0.025
 #: A matched writer may still be unknown to the reader, which then drops what comes.
-_SETTLE_S = 0.3
+_SETTLE_S = 0.5
 _DISCOVERY_S = 1.0
 _ACKNOWLEDGE_S = 2.0
 _LINGER_S = 0.5

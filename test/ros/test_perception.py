@@ -79,7 +79,7 @@ class Camera:
     def wait_for_node(self) -> None:
         both = (self._image, self._info)
         self._peer.wait(lambda: all(p.get_subscription_count() for p in both), "the node's subscriptions")
-        self._peer.spin(0.3)
+        self._peer.spin(0.5)
 
     @property
     def is_subscribed(self) -> bool:
