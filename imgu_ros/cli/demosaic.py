@@ -6,9 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from imgu_ros.cli.options import add_parameter_options, parameters_of
 from imgu_ros.errors import FileError, ParameterError
 
 if TYPE_CHECKING:
+    from imgu_ros.params import Parameters
     from imgu_ros.types import Image
 
 HELP = "turn a raw image file into a colour image"
@@ -26,34 +28,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("output", type=Path, metavar="OUT", help="colour image: PPM, PNG or TIFF")
     parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), required=True, help="top-left 2x2 quad")
-    parser.add_argument("--method", choices=method.choices, default=method.default, help="default: %(default)s")
+    parser.add_argument("--method", choices=method.choices, help=f"default: {method.default}")
     levels = parser.add_argument_group("levels, applied to the raw values first")
-    levels.add_argument("--black", type=float, default=0.0, metavar="N", help="raw value of no light")
-    levels.add_argument(
-        "--white", type=float, default=0.0, metavar="N", help="raw value of full scale; default: the type's"
-    )
-    levels.add_argument("--gains", type=_gains, default=(1.0, 1.0, 1.0), metavar="R,G,B", help="white-balance gains")
+    levels.add_argument("--black", type=float, metavar="N", help="raw value of no light")
+    levels.add_argument("--white", type=float, metavar="N", help="raw value of full scale; default: the type's")
+    levels.add_argument("--gains", type=_gains, metavar="R,G,B", help="white-balance gains")
     raw = parser.add_argument_group("headerless input, row by row without padding")
     raw.add_argument("--width", type=int, metavar="PX")
     raw.add_argument("--height", type=int, metavar="PX")
     raw.add_argument("--dtype", choices=tuple(_DTYPES), help="uint16 is little-endian")
+    add_parameter_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, develop, write."""
-    _check_levels(arguments)
+    parameters = _parameters(arguments)
     raw = _read_raw(arguments)
-    if arguments.white > (65535 if raw.dtype.itemsize == 2 else 255):
-        raise ParameterError(f"--white: {arguments.white:g}; need at most the largest {raw.dtype} value")
     from imgu_ros.files.images import write_image
     from imgu_ros.vision.formation.cfa import BayerPattern
     from imgu_ros.vision.formation.demosaic import demosaic
     from imgu_ros.vision.formation.levels import with_levels
 
-    pattern = BayerPattern(arguments.pattern)
-    leveled = with_levels(raw, pattern, arguments.black, arguments.white, arguments.gains)
-    write_image(arguments.output, demosaic(leveled, pattern, arguments.method))
+    pattern, levels, top = BayerPattern(arguments.pattern), parameters.raw, 2 ** (8 * raw.dtype.itemsize) - 1
+    white = levels.white_level or (2.0**levels.significant_bits - 1 if levels.significant_bits else top)
+    if not levels.black_level < white <= top:
+        raise ParameterError(
+            f"levels: black {levels.black_level:g}, white {white:g}; need black < white <= {top} ({raw.dtype})"
+        )
+    leveled = with_levels(raw, pattern, levels.black_level, white, levels.gains)
+    write_image(arguments.output, demosaic(leveled, pattern, parameters.demosaic.method))
     return 0
+
+
+def _parameters(arguments: argparse.Namespace) -> Parameters:
+    """Return the parameters, with the short options over those of -p."""
+    from imgu_ros.params import parameters_from
+
+    short = {
+        "demosaic.method": arguments.method,
+        "raw.black_level": arguments.black,
+        "raw.white_level": arguments.white,
+        "raw.gains": arguments.gains,
+    }
+    given = {name: value for name, value in short.items() if value is not None}
+    return parameters_from(given, parameters_of(arguments))
 
 
 def _read_raw(arguments: argparse.Namespace) -> Image:
@@ -72,18 +90,8 @@ def _read_raw(arguments: argparse.Namespace) -> Image:
     return raw
 
 
-def _check_levels(arguments: argparse.Namespace) -> None:
-    if not (0 <= arguments.black <= 65535 and 0 <= arguments.white <= 65535):
-        raise ParameterError(f"--black, --white: {arguments.black:g}, {arguments.white:g}; need 0 to 65535")
-    if 0 < arguments.white <= arguments.black:
-        raise ParameterError(f"--white: {arguments.white:g}; need more than --black ({arguments.black:g})")
-
-
 def _gains(text: str) -> tuple[float, ...]:
     try:
-        gains = tuple(float(part) for part in text.split(","))
+        return tuple(float(part) for part in text.split(","))
     except ValueError:
-        gains = ()
-    if len(gains) != 3 or not all(0.01 <= gain <= 100 for gain in gains):
-        raise argparse.ArgumentTypeError(f"{text!r}; need three numbers R,G,B from 0.01 to 100")
-    return gains
+        raise argparse.ArgumentTypeError(f"{text!r}; need three numbers R,G,B") from None

@@ -6,6 +6,8 @@ import argparse
 import textwrap
 from typing import TYPE_CHECKING
 
+from imgu_ros.cli.options import add_parameter_options, parameters_of
+
 if TYPE_CHECKING:
     from imgu_ros.params import Declaration
 
@@ -14,19 +16,21 @@ HELP = "list every parameter, or print a ready parameter file"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("--yaml", action="store_true", help="print a ROS 2 parameter file with the defaults")
+    parser.add_argument("--yaml", action="store_true", help="print a ROS 2 parameter file: defaults, and what -p sets")
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these parameters, or groups (`homography`)")
+    add_parameter_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the parameters."""
+    from imgu_ros.params import declaration, declarations, parameter_values
+
+    parameters = parameters_of(arguments)
     if arguments.yaml:
         from imgu_ros.files.parameter_files import parameter_file_text
 
-        print(parameter_file_text(), end="")
+        print(parameter_file_text(parameter_values(parameters)), end="")
         return 0
-    from imgu_ros.params import declaration, declarations
-
     chosen = [known for known in declarations() if _is_asked_for(known.name, arguments.names)]
     for asked in arguments.names:
         if not any(_is_asked_for(known.name, [asked]) for known in chosen):

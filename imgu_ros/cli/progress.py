@@ -62,6 +62,8 @@ class Progress:
             self._bar = tqdm(desc=self._label, unit=f" {self._unit}", total=self._total, dynamic_ncols=True)
         self._bar.total = self._total
         self._bar.update(self._done - self._bar.n)
+        if self._done == self._total:  # what follows is no part of the rate that the bar shows
+            self._bar.close()
 
     def _line(self) -> None:
         of_total = f" of {self._total}" if self._total else ""

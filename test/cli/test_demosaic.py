@@ -55,12 +55,23 @@ def test_levels_and_gains(tmp_path: Path) -> None:
     assert np.abs(read_image(tmp_path / "rgb.png")[4, 4] - 65535 * np.array([0.4, 0.2, 0.1])).max() <= 1
 
 
+def test_parameters_serve_where_no_short_option_is_given(tmp_path: Path) -> None:
+    write_image(tmp_path / "raw.pgm", np.full((8, 8), 511, np.uint16))
+    options = ["--pattern", "rggb", "-p", "raw.significant_bits:=10", "-p", "raw.gains:=[1.0, 1.0, 2.0]"]
+    assert main(["demosaic", str(tmp_path / "raw.pgm"), str(tmp_path / "rgb.png"), *options]) == 0
+    half = 65535 * 511 / 1023
+    assert np.abs(read_image(tmp_path / "rgb.png")[4, 4] - [half, half, 2 * half]).max() <= 1
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--white", "50", "--black", "60"], "need more than --black"),
-        (["--white", "300"], "at most the largest uint8"),
+        (["--white", "50", "--black", "60"], "need more than raw.black_level"),
+        (["--white", "300"], "white <= 255 (uint8)"),
+        (["--black", "255"], "black < white"),
         (["--black", "-1"], "need 0 to 65535"),
+        (["--gains", "1,2"], "need 3"),
+        (["-p", "demosaic.method:=bilinea"], "nearest: bilinear"),
         (["--width", "8"], "need all three"),
         (["--width", "8", "--height", "9", "--dtype", "uint8"], "bytes"),
         (["--width", "0", "--height", "9", "--dtype", "uint8"], "at least 1 x 1"),

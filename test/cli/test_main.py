@@ -66,7 +66,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["replay"], "required"),
         (["replay", "bag", "--ou", "x"], "--out"),
         (["demosaic", "a", "b", "--pattern", "rgbg"], "invalid choice"),
-        (["demosaic", "a", "b", "--pattern", "rggb", "--gains", "1,2"], "need three numbers"),
+        (["demosaic", "a", "b", "--pattern", "rggb", "--gains", "1,x,2"], "need three numbers"),
     ],
 )
 def test_wrong_usage_exits_2(argv: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

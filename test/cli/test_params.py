@@ -33,3 +33,10 @@ def test_yaml_is_a_parameter_file_of_the_defaults(tmp_path: Path, capsys: pytest
     path = tmp_path / "params.yaml"
     path.write_text(capsys.readouterr().out)
     assert parameter_values(parameters_from(read_parameter_file(path))) == parameter_values(Parameters())
+
+
+def test_yaml_holds_what_is_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["params", "--yaml", "-p", "matching.ratio:=0.7", "-p", "targets.names:=[]"]) == 0
+    path = tmp_path / "params.yaml"
+    path.write_text(capsys.readouterr().out)
+    assert parameters_from(read_parameter_file(path)).matching.ratio == 0.7
