@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,14 @@ Matrix3 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 IMAGE_DTYPES = (np.uint8, np.uint16, np.float32)
+
+
+class Choice(StrEnum):
+    """Base of the enumerations that callers name by strings: another string raises ShapeError and lists the choices."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> None:
+        raise ShapeError(f"{cls.__name__}: {value!r}; need one of {', '.join(cls)}")
 
 
 def as_points(points: ArrayLike, name: str = "points", minimum: int = 0) -> Points:
@@ -82,7 +91,7 @@ def as_image(
     Raises
     ------
     ShapeError
-        If it is not an array, is empty, or has another data type or channel count.
+        If it is not an array, is empty, has another data type or channel count, or holds NaN or infinity.
     """
     if not isinstance(image, np.ndarray):
         raise ShapeError(f"{name}: {type(image).__name__}; need a numpy array")
@@ -96,17 +105,20 @@ def as_image(
         allowed = ", ".join(np.dtype(d).name for d in dtypes)
         raise ShapeError(f"{name}: data type {image.dtype}; need {allowed}")
     # OpenCV reads a big-endian array as if it were native, and says nothing.
-    return np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
+    image = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
+    return _finite(image, name) if image.dtype.kind == "f" else image
 
 
 def _as_float64(values: ArrayLike, name: str) -> Floats:
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "biufO":
+        raise ShapeError(f"{name}: data type {values.dtype}; need real numbers")
     try:
         return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(f"{name}: {error}; need numbers") from None
 
 
-def _finite(array: Floats, name: str) -> Floats:
+def _finite(array: NDArray[Any], name: str) -> NDArray[Any]:
     if not np.isfinite(array).all():
         raise ShapeError(f"{name}: {np.count_nonzero(~np.isfinite(array))} values are not finite; need finite numbers")
     return array

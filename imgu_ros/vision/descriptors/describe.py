@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, Indices
+from imgu_ros.types import Choice, Image, Indices
 from imgu_ros.vision.descriptors.described import Described
 from imgu_ros.vision.descriptors.orb import describe_orb
 from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
@@ -17,7 +16,7 @@ from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
 from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
-class DescriptorKind(StrEnum):
+class DescriptorKind(Choice):
     """Descriptors."""
 
     ORB = "orb"

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, as_image
+from imgu_ros.types import Choice, Image, as_image
 
 
-class BayerPattern(StrEnum):
+class BayerPattern(Choice):
     """The colours of the top-left 2x2 quad, in reading order, as ROS names them."""
 
     RGGB = "rggb"
@@ -35,6 +33,11 @@ def mosaic(rgb: Image, pattern: BayerPattern) -> Image:
     Returns
     -------
     (H, W) of the same data type
+
+    Raises
+    ------
+    ShapeError
+        If `rgb` is not such an image or the pattern is unknown.
     """
     rgb = as_image(rgb, "rgb", channels=(3,))
     out = np.empty(rgb.shape[:2], rgb.dtype)
@@ -45,9 +48,17 @@ def mosaic(rgb: Image, pattern: BayerPattern) -> Image:
 
 
 def site_mask(shape: tuple[int, int], pattern: BayerPattern, color: str) -> Image:
-    """Return the (H, W) bool mask of the sites that measure `color` ("r", "g" or "b")."""
+    """Return the (H, W) bool mask of the sites that measure `color` ("r", "g" or "b").
+
+    Raises
+    ------
+    ShapeError
+        If the shape is negative, or the pattern or the colour is unknown.
+    """
     if color not in ("r", "g", "b"):
         raise ShapeError(f"color: {color!r}; need 'r', 'g' or 'b'")
+    if len(shape) != 2 or min(shape) < 0:
+        raise ShapeError(f"shape: {shape}; need (height, width)")
     out = np.zeros(shape, bool)
     for index, site in enumerate(BayerPattern(pattern).value):
         row, column = divmod(index, 2)

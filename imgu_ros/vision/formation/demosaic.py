@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import StrEnum
 
 import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, as_image
+from imgu_ros.types import Choice, Image, as_image
 from imgu_ros.vision.formation.cfa import BayerPattern, site_mask
 
 
-class DemosaicMethod(StrEnum):
+class DemosaicMethod(Choice):
     """Demosaicking methods, from fast to good."""
 
     BILINEAR = "bilinear"
@@ -38,14 +37,10 @@ def demosaic(raw: Image, pattern: BayerPattern, method: DemosaicMethod | str = D
     Raises
     ------
     ShapeError
-        If `raw` is not such an image or the method is unknown.
+        If `raw` is not such an image, or the pattern or the method is unknown.
     """
     raw = _as_mosaic(raw)
-    try:
-        function = _METHODS[DemosaicMethod(method)]
-    except ValueError:
-        raise ShapeError(f"method: {method!r}; need one of {', '.join(DemosaicMethod)}") from None
-    return function(raw, BayerPattern(pattern))
+    return _METHODS[DemosaicMethod(method)](raw, BayerPattern(pattern))
 
 
 def grey_from_mosaic(raw: Image, pattern: BayerPattern) -> Image:
@@ -59,11 +54,16 @@ def grey_from_mosaic(raw: Image, pattern: BayerPattern) -> Image:
     Returns
     -------
     (H, W) of the same data type
+
+    Raises
+    ------
+    ShapeError
+        If `raw` is not such an image or the pattern is unknown.
     """
-    raw = _as_mosaic(raw)
+    raw, pattern = _as_mosaic(raw), BayerPattern(pattern)
     if min(raw.shape) < 3:
         return cv2.cvtColor(_bilinear(raw, pattern), cv2.COLOR_RGB2GRAY)
-    return _repaired_border(cv2.cvtColor(raw, _GREY[BayerPattern(pattern)]), raw, pattern)
+    return _repaired_border(cv2.cvtColor(raw, _GREY[pattern]), raw, pattern)
 
 
 def _as_mosaic(raw: Image) -> Image:

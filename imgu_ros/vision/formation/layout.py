@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
-from imgu_ros.types import Image
+from imgu_ros.types import Choice, Image
 from imgu_ros.vision.formation.cfa import BayerPattern
 
 
-class ColorModel(StrEnum):
+class ColorModel(Choice):
     """How channels are to be read."""
 
     BAYER = "bayer"  #: (H, W), one colour a site

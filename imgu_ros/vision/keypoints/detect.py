@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image
+from imgu_ros.types import Choice, Floats, Image
 from imgu_ros.vision.keypoints.dog import SIFT_SIGMA_PX, detect_dog
 from imgu_ros.vision.keypoints.fast import detect_fast
 from imgu_ros.vision.keypoints.harris import detect_harris
@@ -19,7 +18,7 @@ from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
-class Detector(StrEnum):
+class Detector(Choice):
     """Keypoint detectors."""
 
     FAST = "fast"
@@ -51,7 +50,7 @@ def detect(
     Raises
     ------
     ShapeError
-        If the pyramid is not uint8 or max_count is not positive.
+        If the pyramid is not uint8, the detector is unknown or max_count is not positive.
     """
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")

@@ -10,6 +10,9 @@ import numpy as np
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 
+#: The time of a convolution grows with sigma: beyond this it would seem to hang.
+_MAX_SIGMA_PX = 1000
+
 
 def smooth(image: Image, sigma: float) -> Image:
     """Convolve with a sampled Gaussian, borders reflected.
@@ -17,7 +20,7 @@ def smooth(image: Image, sigma: float) -> Image:
     Parameters
     ----------
     image : (H, W) or (H, W, 3), uint8, uint16 or float32
-    sigma : px, >= 0; the kernel reaches 4 sigma, 3 sigma for uint8
+    sigma : px, 0 to 1000; the kernel reaches 4 sigma, 3 sigma for uint8
 
     Returns
     -------
@@ -26,11 +29,11 @@ def smooth(image: Image, sigma: float) -> Image:
     Raises
     ------
     ShapeError
-        If `image` is not such an image or sigma is negative or not finite.
+        If `image` is not such an image or sigma lies outside its range.
     """
     image = as_image(image, channels=(1, 3))
-    if not (math.isfinite(sigma) and sigma >= 0):
-        raise ShapeError(f"sigma: {sigma!r}; need a finite number >= 0")
+    if not 0 <= sigma <= _MAX_SIGMA_PX:
+        raise ShapeError(f"sigma: {sigma!r}; need 0 to {_MAX_SIGMA_PX} px")
     if sigma == 0:
         return image
     # Beyond 3 sigma an 8-bit picture does not change.

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image, Points, as_image
+from imgu_ros.types import Choice, Floats, Image, Points, as_image
 from imgu_ros.vision.scale_space.gaussian import smooth
 
 #: Blur that a sampled image is taken to have, in its own pixels (Lowe 2004, section 3.3).
 CAMERA_SIGMA_PX = 0.5
 
 
-class PyramidKind(StrEnum):
+class PyramidKind(Choice):
     """How densely scales are sampled."""
 
     COARSE = "coarse"  #: one level an octave
@@ -84,7 +83,7 @@ def build_pyramid(
     Raises
     ------
     ShapeError
-        If `image` is not such an image or a count is not positive.
+        If `image` is not such an image, `kind` is unknown or a count is not positive.
     """
     image = as_image(image)
     if levels < 1 or scales_per_octave < 1:
