@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from imgu_ros.types import Image
+from imgu_ros.types import Image, as_image
 from imgu_ros.vision.descriptors.described import Described
 from imgu_ros.vision.keypoints.keypoints import Corners
-from imgu_ros.vision.keypoints.opencv import opencv_keypoints
+from imgu_ros.vision.keypoints.opencv import opencv_keypoints, require_describable
 from imgu_ros.vision.keypoints.orb import PATCH_PX
 
 
@@ -20,10 +20,14 @@ def describe_orb(image: Image, corners: Corners) -> Described:
     image : (H, W) uint8
     corners : those nearer to the border than half a patch are left out
     """
+    image = as_image(image, dtypes=(np.uint8,))
+    require_describable(corners)
     height, width = image.shape
     margin = PATCH_PX // 2 + 1
     x, y = corners.xy[:, 0], corners.xy[:, 1]
-    inside = np.flatnonzero((x >= margin) & (y >= margin) & (x < width - margin) & (y < height - margin))
+    # OpenCV drops what rounds to the first pixel behind the margin, and describes nothing by None.
+    right, lower = width - margin, height - margin
+    inside = np.flatnonzero((x >= margin) & (y >= margin) & (np.rint(x) < right) & (np.rint(y) < lower))
     if not len(inside):
         return Described(inside, np.zeros((0, 32), np.uint8))
     keypoints = opencv_keypoints(
@@ -31,6 +35,6 @@ def describe_orb(image: Image, corners: Corners) -> Described:
     )
     computer = cv2.ORB.create(nlevels=1, patchSize=PATCH_PX, edgeThreshold=margin)
     found, descriptors = computer.compute(image, keypoints)
-    # OpenCV may drop keypoints of its own; class_id says which were kept.
+    # class_id says which row describes which corner.
     order = np.array([k.class_id for k in found], np.intp)
     return Described(inside[order], np.asarray(descriptors, np.uint8).reshape(-1, 32))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from imgu_ros.types import Image
+from imgu_ros.types import Image, as_image
 from imgu_ros.vision.descriptors.described import Described
 from imgu_ros.vision.keypoints.keypoints import Corners
-from imgu_ros.vision.keypoints.opencv import opencv_keypoints
+from imgu_ros.vision.keypoints.opencv import opencv_keypoints, require_describable
 
 
 def describe_sift(image: Image, corners: Corners) -> Described:
@@ -19,6 +19,8 @@ def describe_sift(image: Image, corners: Corners) -> Described:
     image : (H, W) uint8
     corners : with scale (the histograms are 3 sigma wide) and angle
     """
+    image = as_image(image, dtypes=(np.uint8,))
+    require_describable(corners)
     if not len(corners.xy):
         return Described(np.zeros(0, np.intp), np.zeros((0, 128), np.float32))
     keypoints = opencv_keypoints(corners.xy, 2 * corners.scale, corners.angle, corners.response)

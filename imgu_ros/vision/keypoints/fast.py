@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import cv2
+import numpy as np
 
-from imgu_ros.types import Image
+from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.opencv import corners_from_opencv
 from imgu_ros.vision.keypoints.orientation import centroid_orientation
@@ -22,6 +23,7 @@ def detect_fast(image: Image, max_count: int) -> Corners:
     image : (H, W) uint8
     max_count : wanted number; up to three times as many are returned, for spreading to choose from
     """
+    image = as_image(image, dtypes=(np.uint8,))
     found = cv2.FastFeatureDetector.create(_THRESHOLD, True).detect(image, None)
     strongest = sorted(found, key=lambda k: -k.response)[: _SURPLUS * max_count]
     corners = corners_from_opencv(strongest, _RING_SIGMA, with_angle=False)

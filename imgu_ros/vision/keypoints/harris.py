@@ -46,6 +46,7 @@ def detect_harris(image: Image, max_count: int) -> Corners:
     image : (H, W) uint8
     max_count : wanted number; up to three times as many are returned, for spreading to choose from
     """
+    image = as_image(image, dtypes=(np.uint8,))
     response = harris_response(image)
     b = _BORDER_PX
     if min(response.shape) <= 2 * b:

@@ -8,8 +8,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from imgu_ros.types import Floats, Points
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Floats, Points, as_matrix, as_points
 from imgu_ros.vision.keypoints.keypoints import Corners
+
+_LARGEST_PX = 1e6
 
 
 def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, with_angle: bool) -> Corners:
@@ -29,6 +32,16 @@ def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, wi
         angle=(angle + math.pi) % (2 * math.pi) - math.pi,
         response=rows[:, 4].copy(),
     )
+
+
+def require_describable(corners: Corners) -> None:
+    """Raise ShapeError when a corner cannot be handed to OpenCV, which writes outside its memory on absurd ones."""
+    xy = as_points(corners.xy, "corners.xy")
+    scale, _, _ = (as_matrix(getattr(corners, n), (len(xy),), f"corners.{n}") for n in ("scale", "angle", "response"))
+    if len(xy) and not np.abs(xy).max() < _LARGEST_PX:
+        raise ShapeError(f"corners.xy: up to {np.abs(xy).max():g}; need less than {_LARGEST_PX:g} px")
+    if len(xy) and not 0 < scale.min() <= scale.max() < _LARGEST_PX:
+        raise ShapeError(f"corners.scale: {scale.min():g} to {scale.max():g}; need above 0, below {_LARGEST_PX:g} px")
 
 
 def opencv_keypoints(xy: Points, size: Floats, angle: Floats, response: Floats) -> list[cv2.KeyPoint]:

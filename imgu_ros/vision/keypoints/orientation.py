@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
 from imgu_ros.types import Floats, Image, Points, as_image, as_points
+
+#: Patches gathered at once: bounds the memory.
+_CHUNK = 4096
 
 
 def centroid_orientation(image: Image, xy: Points, radius: int = 15) -> Floats:
@@ -19,7 +24,7 @@ def centroid_orientation(image: Image, xy: Points, radius: int = 15) -> Floats:
 
     Returns
     -------
-    (N,) rad in [-pi, pi], from x towards y; 0 for a patch without contrast.
+    (N,) rad in [-pi, pi), from x towards y; 0 for a patch without contrast.
     """
     image = as_image(image)
     xy = as_points(xy, "xy")
@@ -30,7 +35,15 @@ def centroid_orientation(image: Image, xy: Points, radius: int = 15) -> Floats:
     disc = dx**2 + dy**2 <= radius**2
     dx, dy = dx[disc], dy[disc]
     padded = cv2.copyMakeBorder(image, radius, radius, radius, radius, cv2.BORDER_REFLECT)
-    columns = np.clip(np.rint(xy[:, 0]).astype(np.intp), 0, image.shape[1] - 1) + radius
-    rows = np.clip(np.rint(xy[:, 1]).astype(np.intp), 0, image.shape[0] - 1) + radius
-    patches = padded[rows[:, None] + dy, columns[:, None] + dx].astype(np.float64)
-    return np.asarray(np.arctan2(patches @ dy, patches @ dx), np.float64)
+    columns = np.clip(np.rint(xy[:, 0]), 0, image.shape[1] - 1).astype(np.intp) + radius
+    rows = np.clip(np.rint(xy[:, 1]), 0, image.shape[0] - 1).astype(np.intp) + radius
+    angle = np.empty(len(xy))
+    for start in range(0, len(xy), _CHUNK):
+        some = slice(start, start + _CHUNK)
+        patches = padded[rows[some, None] + dy, columns[some, None] + dx].astype(np.float64)
+        if image.dtype == np.float32:
+            # Sums of integers are exact; those of floats leave a rest where there is no contrast.
+            patches -= patches[:, :1]
+        angle[some] = np.arctan2(patches @ dy, patches @ dx)
+    angle[angle >= math.pi] = -math.pi
+    return angle

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Indices, Points, as_points
+from imgu_ros.types import Floats, Indices, Points, as_matrix, as_points
 
 
 def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> Indices:
@@ -26,17 +26,23 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> I
     Returns
     -------
     (min(N, count),) indices, strongest first
+
+    Raises
+    ------
+    ShapeError
+        If the arrays do not fit each other or hold NaN or infinity, or count or size is not positive.
     """
     xy = as_points(xy, "xy")
-    if len(response) != len(xy):
-        raise ShapeError(f"response: {len(response)} values; need {len(xy)}, one for each point")
+    response = as_matrix(response, (len(xy),), "response")
     if count < 1 or min(size) < 1:
         raise ShapeError(f"count, size: {count}, {size}; need positive numbers")
     strongest_first = np.lexsort((xy[:, 0], xy[:, 1], -response))
     if len(xy) > count:
         side = math.sqrt(size[0] * size[1] / max(1, count // 2))
         columns = max(1, math.ceil(size[0] / side))
-        cell = (xy[:, 1] // side).astype(np.intp) * columns + (xy[:, 0] // side).astype(np.intp)
+        # A point outside the picture counts to the nearest cell.
+        row, column = (np.clip(xy[:, i], 0, size[i] - 1) // side for i in (1, 0))
+        cell = (row * columns + column).astype(np.intp)
         cell = cell[strongest_first]
         by_cell = np.argsort(cell, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(cell[by_cell]) != 0])
