@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import numpy as np
 from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image, Indices, Points
+from imgu_ros.types import Choice, Floats, Image, Indices, Points, as_matrix
 from imgu_ros.vision.matching.matches import Matches
 
+#: Of the numbers in a row: their squares are summed in single precision.
+_LARGEST = 1e15
 
-class Metric(StrEnum):
+
+class Metric(Choice):
     """Distances between descriptors."""
 
     AUTO = "auto"  #: Hamming for uint8 rows, Euclidean for float32 rows
@@ -36,7 +37,7 @@ def match(
     ----------
     src, dst : (N, D) and (M, D), uint8 (bits) or float32
     metric : see `Metric`
-    ratio : keep a match when its distance is below `ratio` times that of the second nearest; 1 keeps all.
+    ratio : > 0; keep a match when its distance is below `ratio` times that of the second nearest; 1 keeps all.
         (The notes, 5.3.2, have the sign the other way round.)
     mutual : keep a match only when its `src` row is also the nearest to its `dst` row
     dst_xy : (M, 2) px where the rows of `dst` lie. With it, the second nearest is the nearest *at another place*:
@@ -50,11 +51,14 @@ def match(
     Raises
     ------
     ShapeError
-        If rows, data types or metric do not fit each other.
+        If rows, data types or metric do not fit each other, a row holds NaN or numbers beyond 1e15, or `ratio` is not
+        positive.
     """
     metric = _checked(src, dst, Metric(metric))
-    if dst_xy is not None and dst_xy.shape != (len(dst), 2):
-        raise ShapeError(f"dst_xy: shape {dst_xy.shape}; need ({len(dst)}, 2)")
+    if not ratio > 0:
+        raise ShapeError(f"ratio: {ratio!r}; need a number > 0")
+    if dst_xy is not None:
+        dst_xy = as_matrix(dst_xy, (len(dst), 2), "dst_xy")
     if not len(src) or not len(dst):
         return Matches(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
     likeness = _likeness(src, dst, metric)
@@ -78,8 +82,13 @@ def match(
 
 def _checked(src: Image, dst: Image, metric: Metric) -> Metric:
     for name, rows in (("src", src), ("dst", dst)):
-        if rows.ndim != 2 or rows.dtype not in (np.uint8, np.float32):
-            raise ShapeError(f"{name}: shape {rows.shape}, data type {rows.dtype}; need (N, D) uint8 or float32")
+        if not isinstance(rows, np.ndarray):
+            raise ShapeError(f"{name}: {type(rows).__name__}; need a numpy array")
+        if rows.ndim != 2 or not rows.shape[1] or rows.dtype not in (np.uint8, np.float32):
+            raise ShapeError(f"{name}: shape {rows.shape}, data type {rows.dtype}; need (N, D >= 1) uint8 or float32")
+        # Squares of larger numbers overflow; NaN compares as not less.
+        if rows.dtype == np.float32 and rows.size and not max(rows.max(), -rows.min()) < _LARGEST:
+            raise ShapeError(f"{name}: NaN or numbers beyond {_LARGEST:g}; need finite numbers")
     if src.shape[1] != dst.shape[1] or src.dtype != dst.dtype:
         raise ShapeError(f"dst: {dst.shape[1]} x {dst.dtype}; need {src.shape[1]} x {src.dtype}, as src")
     if metric is Metric.AUTO:
@@ -109,7 +118,10 @@ def _distances(a: Image, b: Image, metric: Metric) -> Floats:
     if metric is Metric.COSINE:
         a, b = _unit(a), _unit(b)
     squared = np.square(a.astype(np.float64) - b).sum(axis=1)
-    return np.asarray(squared / 2 if metric is Metric.COSINE else np.sqrt(squared))
+    if metric is Metric.COSINE:
+        # |a - b|^2 / 2 = 1 - a b for unit rows. A row of zeros has no direction: its product with any other is 0.
+        return np.asarray(np.where(a.any(axis=1) & b.any(axis=1), squared / 2, 1.0))
+    return np.asarray(np.sqrt(squared))
 
 
 def _rivals(likeness: Image, nearest: Indices, xy: Points | None, same_place_px: float) -> Indices:
