@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.formation.cfa import BayerPattern
 
@@ -26,14 +28,23 @@ def with_levels(
     pattern : colours of the top-left quad
     black : raw value of no light
     white : raw value of full scale, > black; 0: the data type's largest value
-    gains : of red, green and blue
+    gains : of red, green and blue, >= 0
 
     Returns
     -------
     (H, W) of the same data type, rounded and clamped; the input itself when there is nothing to do.
+
+    Raises
+    ------
+    ShapeError
+        If `raw` is not such an image, the pattern is unknown, white is not above black, or a gain is missing or
+        negative.
     """
     raw = as_image(raw, "raw", dtypes=(np.uint8, np.uint16))
     top = float(np.iinfo(raw.dtype).max)
+    _require_range(black, white or top)
+    if len(gains) != 3 or not all(math.isfinite(g) and g >= 0 for g in gains):
+        raise ShapeError(f"gains: {list(gains)}; need 3 finite numbers >= 0 (red, green, blue)")
     factors = [g * top / ((white or top) - black) for g in gains]
     if black == 0 and all(f == 1.0 for f in factors):
         return raw
@@ -58,6 +69,11 @@ def stretched_to_8_bit(grey: Image, black: float, white: float | None) -> Image:
     Returns
     -------
     (H, W) uint8; an image without contrast becomes 0.
+
+    Raises
+    ------
+    ShapeError
+        If `grey` is not such an image or white is not above black.
     """
     grey = as_image(grey, "grey")
     if white is None:
@@ -66,10 +82,19 @@ def stretched_to_8_bit(grey: Image, black: float, white: float | None) -> Image:
         black, white = float(low), float(high)
         if white <= black:
             return np.zeros(grey.shape, np.uint8)
+    _require_range(black, white)
     if grey.dtype == np.uint8 and black == 0 and white == 255:
         return grey
+    if grey.dtype == np.float32:
+        # Black may be large beside the range (kelvin): their difference is taken in double precision.
+        grey = grey.astype(np.float64)
     factor = 255 / (white - black)
     return _scaled(grey, factor, -black * factor, np.dtype(np.uint8))
+
+
+def _require_range(black: float, white: float) -> None:
+    if not (math.isfinite(black) and math.isfinite(white) and white > black):
+        raise ShapeError(f"black, white: {black:g}, {white:g}; need finite numbers, white above black")
 
 
 def _scaled(image: Image, factor: float, offset: float, dtype: np.dtype[np.generic]) -> Image:
