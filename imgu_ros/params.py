@@ -255,6 +255,10 @@ class Parameters:
 #: Names that the interfaces reserve and that no released chain fulfils yet: refused with the reason.
 RESERVED_CHOICES = {("reference", "keyframe"), ("reference", "rotation")}
 
+#: ROS's integers have 64 bits.
+_LARGEST_INTEGER = 2**63 - 1
+_SHOWN_CHARACTERS = 80
+
 _TYPE_NAMES: dict[Any, str] = {
     bool: "bool",
     int: "integer",
@@ -283,7 +287,7 @@ def declaration(name: str) -> Declaration:
     for known in declarations():
         if known.name == name:
             return known
-    nearest = difflib.get_close_matches(name, [d.name for d in declarations()], n=1, cutoff=0.0)
+    nearest = difflib.get_close_matches(str(name), [d.name for d in declarations()], n=1, cutoff=0.0)
     raise ParameterError(f"{name}: unknown parameter; nearest known: {nearest[0]}")
 
 
@@ -300,8 +304,8 @@ def checked_value(name: str, value: object) -> ParameterValue:
     known = declaration(name)
     if known.type_name.endswith("_array"):
         element = known.type_name.removesuffix("_array")
-        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
-            raise ParameterError(f"{name}: {value!r} ({type(value).__name__}); need a list of {element}s")
+        if not _is_list(value):
+            raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need a list of {element}s")
         items = list(cast("Iterable[object]", value))
         return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
     return cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
@@ -352,13 +356,15 @@ def _declaration(item: Field[Any], hint: Any, prefix: str) -> Declaration:
 
 
 def _checked_scalar(name: str, value: object, type_name: str, known: Declaration) -> Any:
-    if type_name == "double" and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
     expected = {"bool": bool, "integer": int, "double": float, "string": str}[type_name]
-    if hasattr(value, "item") and not isinstance(value, str):  # a numpy scalar
+    if isinstance(value, str):  # an enumeration's member
+        value = str.__str__(value)
+    elif getattr(value, "ndim", None) == 0 and hasattr(value, "item"):  # a numpy scalar
         value = value.item()
+    if type_name == "double" and type(value) is int and abs(value) <= _LARGEST_INTEGER:
+        value = float(value)
     if type(value) is not expected:
-        raise ParameterError(f"{name}: {value!r} ({type(value).__name__}); need {_article(type_name)}")
+        raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need {_article(type_name)}")
     if known.choices and value not in known.choices:
         if (known.name, value) in RESERVED_CHOICES:
             raise ParameterError(
@@ -366,14 +372,45 @@ def _checked_scalar(name: str, value: object, type_name: str, known: Declaration
             )
         near = difflib.get_close_matches(str(value), known.choices, n=1)
         raise ParameterError(
-            f"{name}: {value!r}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else "")
+            f"{name}: {_shown(value)}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else "")
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
         low = -math.inf if known.minimum is None else known.minimum
         high = math.inf if known.maximum is None else known.maximum
-        if not (math.isfinite(value) and low <= value <= high):
-            raise ParameterError(f"{name}: {value!r}; need {low:g} to {high:g}{' ' + known.unit if known.unit else ''}")
+        if not low <= value <= high or value in (-math.inf, math.inf):
+            raise ParameterError(f"{name}: {_shown(value)}; need {_range(known)}")
     return value
+
+
+def _is_list(value: object) -> bool:
+    if isinstance(value, str | bytes | bytearray | Mapping) or getattr(value, "ndim", 1) == 0:
+        return False
+    return hasattr(value, "__len__") and hasattr(value, "__getitem__")
+
+
+def _shown(value: object) -> str:
+    """Return a value for a message: on one line, and not endless."""
+    if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
+        return f"an integer of {value.bit_length()} bits"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "..."
+
+
+def _range(known: Declaration) -> str:
+    if known.minimum is None or known.maximum is None:
+        limits = [
+            f"{word} {_number(limit)}"
+            for word, limit in (("at least", known.minimum), ("at most", known.maximum))
+            if limit is not None
+        ]
+        text = limits[0] if limits else "a finite number"
+    else:
+        text = f"{_number(known.minimum)} to {_number(known.maximum)}"
+    return f"{text} {known.unit}" if known.unit else text
+
+
+def _number(limit: float) -> str:
+    return str(limit) if isinstance(limit, int) else f"{limit:.15g}"
 
 
 def _article(type_name: str) -> str:
