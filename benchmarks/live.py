@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +59,20 @@ class Figures:
     latency_p99_ms: float
     latency_max_ms: float
     node_rss_mb: float
+    node_cpu_ms_a_frame: float
     played: str
     sigint_exit_code: int
     sigint_exit_s: float
     cpu_count: int
     load_average_before: float
+
+
+@dataclass(frozen=True)
+class _Node:
+    rss_mb: float
+    busy_s: float
+    exit_code: int
+    exit_s: float
 
 
 def main() -> int:
@@ -84,8 +94,9 @@ def write_bag(folder: Path, size: tuple[int, int], rate_hz: float, count: int, v
     """Write `poster.png` and `bag`, `count` messages made of `views` rendered frames."""
     target = default_targets(1)[0]
     write_image(folder / "poster.png", target.pixels)
-    simulation = Simulation(width=size[0], height=size[1], frames=views, rate_hz=rate_hz)
-    frames = [simulated.frame for simulated in simulate_sequence(simulation, [target])]
+    # The first views of a sequence of full length: the camera moves as fast as it does there.
+    simulation = Simulation(width=size[0], height=size[1], frames=max(count, views), rate_hz=rate_hz)
+    frames = [simulated.frame for simulated in islice(simulate_sequence(simulation, [target]), views)]
     to_and_fro = [*range(views), *range(views - 2, 0, -1)] if views > 2 else list(range(views))
     with BagWriter(folder / "bag") as bag:
         for index in range(count):
@@ -111,6 +122,8 @@ def measure(folder: Path, arguments: argparse.Namespace, count: int) -> Figures:
     player = None
     try:
         listener = _Listener()
+        time.sleep(3.0)  # the node has started by then
+        busy_s = _cpu_s(node.pid)
         player = subprocess.Popen(
             [*imgu, "play", str(folder / "bag"), "--wait-for", "1", "--timeout", "30"],
             stdout=subprocess.PIPE,
@@ -119,6 +132,7 @@ def measure(folder: Path, arguments: argparse.Namespace, count: int) -> Figures:
         listener.listen(player, count / arguments.rate + _DEADLINE_S)
         played = player.communicate(timeout=10)[0]
         rss_mb = _rss_mb(node.pid)
+        busy_s = _cpu_s(node.pid) - busy_s
         started = time.monotonic()
         node.send_signal(signal.SIGINT)
         exit_code = node.wait(10)
@@ -129,7 +143,7 @@ def measure(folder: Path, arguments: argparse.Namespace, count: int) -> Figures:
                 process.kill()
                 process.wait()
     listener.close()
-    return _figures(arguments, listener, played, rss_mb, exit_code, exit_s, load)
+    return _figures(arguments, listener, played, _Node(rss_mb, busy_s, exit_code, exit_s), load)
 
 
 class _Listener:
@@ -196,9 +210,7 @@ def _figures(
     arguments: argparse.Namespace,
     heard: _Listener,
     played: str,
-    rss_mb: float,
-    exit_code: int,
-    exit_s: float,
+    node: _Node,
     load: float,
 ) -> Figures:
     published = int((re.search(rf"{IMAGE_TOPIC} (\d+)", played) or [0, 0])[1])
@@ -225,10 +237,11 @@ def _figures(
         latency_p95_ms=round(float(percentiles[1]), 2),
         latency_p99_ms=round(float(percentiles[2]), 2),
         latency_max_ms=round(float(percentiles[3]), 2),
-        node_rss_mb=round(rss_mb, 1),
+        node_rss_mb=round(node.rss_mb, 1),
+        node_cpu_ms_a_frame=round(node.busy_s / max(1, len(heard.processed)) * 1e3, 1),
         played=" ".join(played.split("\n")[1:]).strip(),
-        sigint_exit_code=exit_code,
-        sigint_exit_s=round(exit_s, 3),
+        sigint_exit_code=node.exit_code,
+        sigint_exit_s=round(node.exit_s, 3),
         cpu_count=os.cpu_count() or 0,
         load_average_before=round(load, 2),
     )
@@ -237,6 +250,11 @@ def _figures(
 def _rss_mb(pid: int) -> float:
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _arguments() -> argparse.Namespace:
