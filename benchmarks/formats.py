@@ -70,7 +70,10 @@ def measured(kind: Kind, size: tuple[int, int], frames: int, seed: int, auto_bit
             values = {name: value for name, value in values.items() if not name.startswith("raw.")}
         summary = replay([bag], Path(folder) / "out", parameters_from(values), truth=bag / TRUTH_FILE)
         target = summary.targets[0]
-        return Figures(kind.name, frames, target.found, target.corner_px.p50, target.corner_px.p95, 1.0)
+        error = target.corner_error_px
+        if error is None:
+            raise SystemExit(f"{kind.name}: no frame was found")
+        return Figures(kind.name, frames, target.found, error.p50, error.p95, 1.0)
 
 
 def main() -> None:
