@@ -59,7 +59,7 @@ def replay(
     Parameters
     ----------
     bags : paths of one recording
-    out : folder for the results; see `interfaces.md` for what is written
+    out : folder for the results; see `docs/interfaces.md` for what is written
     parameters : all parameters; `targets.images` must name at least one
     truth : truth file; the report then tells the errors
     record : outputs to write into the results bag beside those that always are

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from imgu_ros.cli.options import add_parameter_options, parameters_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from imgu_ros.params import Declaration
 
 HELP = "list every parameter, or print a ready parameter file"
@@ -17,6 +19,7 @@ HELP = "list every parameter, or print a ready parameter file"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("--yaml", action="store_true", help="print a ROS 2 parameter file: defaults, and what -p sets")
+    parser.add_argument("--markdown", action="store_true", help="print the reference page")
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these parameters, or groups (`homography`)")
     add_parameter_options(parser)
 
@@ -35,9 +38,39 @@ def run(arguments: argparse.Namespace) -> int:
     for asked in arguments.names:
         if not any(_is_asked_for(known.name, [asked]) for known in chosen):
             declaration(asked)  # raises, and names the nearest known one
+    if arguments.markdown:
+        print(reference_page(chosen), end="")
+        return 0
     for known in chosen:
         print(described(known))
     return 0
+
+
+def reference_page(chosen: Sequence[Declaration]) -> str:
+    """Return the parameters as a table in Markdown."""
+    rows = [
+        "# Parameters",
+        "",
+        "Made by `imgu params --markdown`. Set them with `-p NAME:=VALUE` or `--params-file FILE`, in every command as",
+        "in ROS 2; `imgu params --yaml` prints a file to start from.",
+        "",
+        "| name | type | default | values | |",
+        "|---|---|---|---|---|",
+    ]
+    for known in chosen:
+        note = known.description + (" *Fixed while running.*" if known.read_only else "")
+        rows.append(f"| `{known.name}` | {known.type_name} | `{_value(known.default)}` | {_values(known)} | {note} |")
+    return "\n".join(rows) + "\n"
+
+
+def _values(known: Declaration) -> str:
+    if known.choices:
+        return ", ".join(f"`{choice}`" for choice in known.choices)
+    if known.minimum is None and known.maximum is None:
+        return known.unit
+    low = "" if known.minimum is None else _number(known.minimum)
+    high = "" if known.maximum is None else _number(known.maximum)
+    return f"{low} to {high} {known.unit}".strip()
 
 
 def described(known: Declaration) -> str:

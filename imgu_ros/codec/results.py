@@ -1,6 +1,6 @@
 """A frame's Result -> the messages of every output topic.
 
-Topics are named relative to the node, as in `interfaces.md`. A function returns None where the frame has nothing for
+Topics are named relative to the node, as in `docs/interfaces.md`. A function returns None where the frame has nothing for
 its topic: a rejected frame has no pictures, a lost target no outline.
 """
 
