@@ -102,7 +102,7 @@ def write_image(path: Path | str, pixels: Image) -> None:
     if not done:
         raise FileError(f"{path}: OpenCV cannot encode {pixels.shape} {pixels.dtype}")
     try:
-        path.write_bytes(encoded)
+        path.write_bytes(encoded.data)
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
 

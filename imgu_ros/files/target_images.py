@@ -110,4 +110,4 @@ def _as_8_bit(pixels: Image) -> Image:
     if pixels.dtype == np.uint16:
         full_scale = float(2 ** max(8, int(pixels.max()).bit_length()) - 1)
         return cv2.convertScaleAbs(pixels, alpha=255 / full_scale)
-    return np.rint(np.clip(np.nan_to_num(pixels), 0, 1) * 255).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(np.nan_to_num(pixels), 0, 1) * 255), np.uint8)

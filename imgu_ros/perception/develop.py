@@ -118,7 +118,7 @@ class Developed:
         if len(chosen) == 1 and pixels.dtype in (np.uint8, np.uint16):
             return np.ascontiguousarray(pixels[:, :, chosen[0]])
         with np.errstate(invalid="ignore", over="ignore"):
-            mean = np.mean(pixels[:, :, chosen], axis=2, dtype=np.float64)
+            mean = np.asarray(np.mean(pixels[:, :, chosen], axis=2, dtype=np.float64))
         if pixels.dtype.kind == "f":
             # Pixels without a value are dark, and must not stretch the range of the others.
             valid = np.isfinite(mean)

@@ -89,7 +89,8 @@ class Renderer:
     def _draw_wall(self, out: Image, camera_from_scene: RigidTransform) -> None:
         """Fill the picture with the wall, whose texture is coarse: one sample for each 2x2 quad is enough."""
         height, width = out.shape[:2]
-        H_wall_image = np.linalg.inv(self._wall.image_from_wall(self.camera.K, camera_from_scene, self.scene.wall_m))
+        H_image_wall = self._wall.image_from_wall(self.camera.K, camera_from_scene, self.scene.wall_m)
+        H_wall_image = np.asarray(np.linalg.inv(H_image_wall), np.float64)
         half = np.empty(((height + 1) // 2, (width + 1) // 2), np.float32)
         for rows in _strips(0, height):
             level = self._wall.level_for(2 * self._largest_step(H_wall_image, rows, slice(0, width)))
@@ -105,7 +106,7 @@ class Renderer:
 
     def _draw_target(self, out: Image, target: TargetImage, levels: Levels, pose: RigidTransform) -> None:
         H_image_template = image_from_template(self.camera.K, pose, template_matrix(target))
-        H_template_image = np.linalg.inv(H_image_template)
+        H_template_image = np.asarray(np.linalg.inv(H_image_template), np.float64)
         outline = _outline_in_image(H_image_template, size_of(target), self.camera)
         for rows, columns in _boxes(outline, self.camera):
             level = levels.level_for(self._largest_step(H_template_image, rows, columns) / SAMPLES)

@@ -60,7 +60,7 @@ def fractal_noise(width: int, height: int, exponent: float, rng: np.random.Gener
     frequency[0, 0] = np.inf
     real, imaginary = rng.standard_normal((2, *frequency.shape))
     noise: Floats = fft.irfft2((real + 1j * imaginary) / frequency**exponent, s=(height, width))
-    return noise / noise.std()
+    return np.asarray(noise / noise.std(), np.float64)
 
 
 def _base_colors(width: int, height: int, rng: np.random.Generator) -> Image:

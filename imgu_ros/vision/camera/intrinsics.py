@@ -108,7 +108,7 @@ class Camera:
         valid : (N,) False where the lens model has no inverse; such a row holds the distorted coordinates
         """
         pixels = as_points(pixels, "pixels")
-        bent = np.linalg.solve(self.K[:2, :2], (pixels - self.K[:2, 2]).T).T
+        bent = np.asarray(np.linalg.solve(self.K[:2, :2], (pixels - self.K[:2, 2]).T).T, np.float64)
         if not self.is_distorted:
             return bent, np.ones(len(pixels), bool)
         return _unbend(self.model, self.distortion, bent)

@@ -138,7 +138,7 @@ def _malvar(raw: Image, pattern: BayerPattern) -> Image:
             plane = np.where(site_mask(shape, pattern, "g"), raw, green)
         else:
             plane = raw.astype(np.float32)
-            rows = site_mask(shape, pattern, color).any(axis=1)
+            rows = np.asarray(site_mask(shape, pattern, color).any(axis=1))
             own_row = np.broadcast_to(rows[:, None], shape)
             greens = site_mask(shape, pattern, "g")
             plane = np.where(greens & own_row, in_row, plane)

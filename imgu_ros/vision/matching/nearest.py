@@ -114,7 +114,7 @@ def _distances(a: Image, b: Image, metric: Metric) -> Floats:
     """Return the distance between each row of `a` and the same row of `b`, in double precision."""
     if metric is Metric.HAMMING:
         differing: NDArray[np.uint8] = np.bitwise_xor(a, b)
-        return np.unpackbits(differing, axis=1).sum(axis=1).astype(np.float64)
+        return np.asarray(np.unpackbits(differing, axis=1).sum(axis=1), np.float64)
     if metric is Metric.COSINE:
         a, b = _unit(a), _unit(b)
     squared = np.square(a.astype(np.float64) - b).sum(axis=1)

@@ -28,7 +28,7 @@ def tangent_basis(H: Matrix3) -> Floats:
     v = h.copy()
     v[0] += 1.0 if h[0] >= 0 else -1.0
     reflection = np.eye(9) - 2 * np.outer(v, v) / (v @ v)
-    return reflection[:, 1:]
+    return np.asarray(reflection[:, 1:], np.float64)
 
 
 class TransferProblem:
@@ -63,12 +63,12 @@ class SymmetricProblem:
     def residuals(self, estimate: Floats) -> Floats:
         """Return (H src - dst, H^-1 dst - src), (N, 4)."""
         forward = TransferProblem(self._src, self._dst).residuals(estimate)
-        backward = TransferProblem(self._dst, self._src).residuals(np.linalg.inv(estimate))
+        backward = TransferProblem(self._dst, self._src).residuals(_inverse(estimate))
         return np.hstack((forward, backward))
 
     def linearise(self, estimate: Floats) -> Linearisation:
         """Return residuals (N, 4) and their derivative by the eight tangent steps, (N, 4, 8)."""
-        inverse = np.linalg.inv(estimate)
+        inverse = _inverse(estimate)
         basis = tangent_basis(estimate)
         forward = _derivative_by_h(estimate, self._src) @ basis
         # d(H^-1) = -H^-1 dH H^-1, row-major.
@@ -91,7 +91,7 @@ class SampsonProblem:
     def residuals(self, estimate: Floats) -> Floats:
         """Return W (H src - dst), with W^-1 W^-T = I + J J^T and J the derivative of H src by src."""
         transfer, J, _ = self._parts(estimate)
-        return np.linalg.solve(_whitening_factor(J), transfer[:, :, None])[:, :, 0]
+        return _solved(_whitening_factor(J), transfer[:, :, None])[:, :, 0]
 
     def linearise(self, estimate: Floats) -> Linearisation:
         """Return residuals (N, 2) and their derivative (N, 2, 8).
@@ -100,8 +100,8 @@ class SampsonProblem:
         """
         transfer, J, by_h = self._parts(estimate)
         factor = _whitening_factor(J)
-        residuals = np.linalg.solve(factor, transfer[:, :, None])[:, :, 0]
-        return Linearisation(residuals, np.linalg.solve(factor, by_h @ tangent_basis(estimate)))
+        residuals = _solved(factor, transfer[:, :, None])[:, :, 0]
+        return Linearisation(residuals, _solved(factor, by_h @ tangent_basis(estimate)))
 
     def step(self, estimate: Floats, delta: Floats) -> Floats:
         """Return H moved along its tangent and brought back to unit norm."""
@@ -135,4 +135,12 @@ def _derivative_by_h(H: Floats, points: Points) -> Floats:
 
 def _whitening_factor(J: Floats) -> Floats:
     """Return the Cholesky factor of I + J J^T, (N, 2, 2)."""
-    return np.linalg.cholesky(np.eye(2) + J @ np.swapaxes(J, 1, 2))
+    return np.asarray(np.linalg.cholesky(np.eye(2) + J @ np.swapaxes(J, 1, 2)), np.float64)
+
+
+def _inverse(H: Floats) -> Floats:
+    return np.asarray(np.linalg.inv(H), np.float64)
+
+
+def _solved(A: Floats, B: Floats) -> Floats:
+    return np.asarray(np.linalg.solve(A, B), np.float64)
