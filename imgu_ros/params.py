@@ -113,7 +113,8 @@ class RawParameters:
     )
     significant_bits: int = parameter(
         0,
-        "Bits that carry the signal in 16-bit data (10, 12, ...), right-aligned; 0: from the data, by percentiles in every frame.",
+        "Bits that carry the signal in 16-bit data (10, 12, ...), right-aligned; 0: from the data, by percentiles in "
+        "every frame.",
         minimum=0,
         maximum=16,
     )
@@ -430,17 +431,16 @@ def _replaced(group: Any, path: list[str], value: ParameterValue) -> Any:
 def _check_together(parameters: Parameters) -> None:
     targets = parameters.targets
     count = len(targets.images)
-    for name, got in (
-        ("widths_m", len(targets.widths_m)),
-        ("names", len(targets.names)),
-        ("poses", len(targets.poses) / 7),
+    for name, values, each in (
+        ("widths_m", targets.widths_m, 1),
+        ("names", targets.names, 1),
+        ("poses", targets.poses, 7),
     ):
-        if got not in (0, count):
-            need = f"none, or {count * 7 if name == 'poses' else count}: {'seven' if name == 'poses' else 'one'} for each of targets.images"
-            raise ParameterError(f"targets.{name}: {len(getattr(targets, name))} values; need {need}")
+        if len(values) not in (0, count * each):
+            need = f"none, or {count * each}: {'one' if each == 1 else 'seven'} for each of targets.images"
+            raise ParameterError(f"targets.{name}: {len(values)} values; need {need}")
     if len(parameters.raw.gains) != 3:
         raise ParameterError(f"raw.gains: {len(parameters.raw.gains)} values; need 3 (red, green, blue)")
-    if 0 < parameters.raw.white_level <= parameters.raw.black_level:
-        raise ParameterError(
-            f"raw.white_level: {parameters.raw.white_level:g}; need more than raw.black_level ({parameters.raw.black_level:g})"
-        )
+    black, white = parameters.raw.black_level, parameters.raw.white_level
+    if 0 < white <= black:
+        raise ParameterError(f"raw.white_level: {white:g}; need more than raw.black_level ({black:g})")

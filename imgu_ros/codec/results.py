@@ -1,7 +1,7 @@
 """A frame's Result -> the messages of every output topic.
 
-Topics are named relative to the node, as in `docs/interfaces.md`. A function returns None where the frame has nothing for
-its topic: a rejected frame has no pictures, a lost target no outline.
+Topics are named relative to the node, as in `docs/interfaces.md`. A function returns None where the frame has nothing
+for its topic: a rejected frame has no pictures, a lost target no outline.
 """
 
 from __future__ import annotations

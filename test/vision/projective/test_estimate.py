@@ -105,10 +105,15 @@ def test_transfer_error_reaches_the_minimum_that_scipy_finds(method: str) -> Non
     ours = fit_homography(src, dst, error=HomographyError.TRANSFER, refine=method)
     problem = TransferProblem(src, dst)
 
+    start = H_TRUE.ravel()
     reference = least_squares(
-        lambda h: problem.residuals(h.reshape(3, 3)).ravel(), H_TRUE.ravel(), x_scale=np.abs(H_TRUE.ravel()), xtol=1e-15,
-        ftol=1e-15, gtol=1e-15,
-    )  # fmt: skip
+        lambda h: problem.residuals(h.reshape(3, 3)).ravel(),
+        start,
+        x_scale=np.abs(start),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
     assert (problem.residuals(ours.H) ** 2).sum() == pytest.approx(2 * reference.cost, rel=1e-9)
 
 
