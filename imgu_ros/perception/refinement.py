@@ -30,6 +30,10 @@ _CONSENSUS_PX = 1.5
 _MIN_SHARE = 0.3
 #: Room around the patches, for their windows and for the first alignment's pyramid.
 _MARGIN_PX = 32
+#: A view larger than this square is reduced for the first alignment.
+_COARSE_SIDE_PX = 400
+#: Brightness is measured on every third pixel of every third row.
+_SAMPLED = 3
 _TRIMMINGS = 4
 _OUTLIER_SIGMAS = 3.6
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
@@ -84,7 +88,8 @@ def refine_by_alignment(
     NoConsensus, TooFewPoints, DegenerateConfiguration
         If the patches do not agree on a homography.
     """
-    coarse = _follow(grey, target, H, camera, parameters, min_points, first_levels)
+    # The first alignment only has to bring the second one near: a large view is looked at in a reduced picture.
+    coarse = _follow(grey, target, H, camera, parameters, min_points, first_levels, _COARSE_SIDE_PX)
     consensus = estimate_homography(
         coarse.template_xy,
         coarse.ideal_xy,
@@ -97,7 +102,7 @@ def refine_by_alignment(
         refine=None,
     )
     # Drawn once more where it truly is, no patch is turned or stretched against the frame any longer.
-    fine = _follow(grey, target, consensus.H, camera, parameters, min_points, 0)
+    fine = _follow(grey, target, consensus.H, camera, parameters, min_points, 0, None)
     return _trimmed(fine, consensus.H, min_points, parameters.window_px)
 
 
@@ -119,27 +124,29 @@ def _follow(
     parameters: RefinementParameters,
     min_points: int,
     lk_levels: int,
+    side_px: int | None,
 ) -> _Followed:
-    """Draw the target where H says, and find its patches in the frame near there (Bouguet 2001)."""
-    height, width = grey.shape
-    octave = _fitting_level(target, H)
-    template_xy, predicted = _visible(octave.corners, H, camera, (width, height), parameters)
+    """Draw the target where H says, and find its patches in the frame near there (Bouguet 2001).
+
+    The part of the frame in question is halved until it is about `side_px` square; None: full resolution.
+    """
+    step = _reduction(target, H, grey.shape, side_px)
+    octave = _fitting_level(target, H, step)
+    margin = step * (parameters.window_px // 2 + 1)
+    template_xy, predicted = _visible(octave.corners, H, camera, grey.shape, margin, parameters.max_points)
     if len(template_xy) < min_points:
         raise NoConsensus(f"patches: {len(template_xy)} in view; need {min_points}")
-    left, top = np.maximum(np.floor(predicted.min(axis=0)).astype(int) - _MARGIN_PX, 0)
-    right, bottom = np.minimum(np.ceil(predicted.max(axis=0)).astype(int) + 1 + _MARGIN_PX, (width, height))
-    offset = np.array([left, top], np.float64)
-    view = grey[top:bottom, left:right]
+    view = _cut_out(grey, predicted, step)
 
     # Through a lens that bends, the nearest homography draws patches well enough.
     H_raw = H if camera is None else homography_dlt(template_xy, predicted)
-    warped = _drawn(target, octave, H_raw, offset, view)
-    drawn_at = (transform(H_raw, template_xy) - offset).astype(np.float32)
+    drawn_at = view.from_raw(transform(H_raw, template_xy))
+    start_at = drawn_at.astype(np.float32)
     found_at, status, _ = cv2.calcOpticalFlowPyrLK(
-        warped,
-        view,
-        drawn_at,
-        (predicted - offset).astype(np.float32),
+        _drawn(target, octave, H_raw, view),
+        view.image,
+        start_at,
+        view.from_raw(predicted).astype(np.float32),
         winSize=(parameters.window_px, parameters.window_px),
         maxLevel=lk_levels,
         criteria=_LK_CRITERIA,
@@ -147,14 +154,53 @@ def _follow(
         minEigThreshold=_MIN_EIGENVALUE,
     )
     # Rounding the starting points to float32 moved them; what was found moves back by as much.
-    rounded = transform(H_raw, template_xy) - offset - drawn_at
-    image_xy = found_at.astype(np.float64) + rounded + offset
+    image_xy = view.to_raw(found_at.astype(np.float64) + (drawn_at - start_at))
     good = (status.ravel() == 1) & np.isfinite(image_xy).all(axis=1)
     template_xy, image_xy, sought = template_xy[good], image_xy[good], len(template_xy)
     if camera is None:
         return _Followed(template_xy, image_xy, image_xy, sought)
     ideal, valid = camera.ideal_pixels(image_xy)
     return _Followed(template_xy[valid], image_xy[valid], ideal[valid], sought)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A part of the frame, reduced by `step`; `offset` is its top-left raw pixel."""
+
+    image: Image
+    offset: Points
+    step: int
+
+    def from_raw(self, xy: Points) -> Points:
+        return (xy - self.offset + 0.5) / self.step - 0.5
+
+    def to_raw(self, xy: Points) -> Points:
+        return (xy + 0.5) * self.step - 0.5 + self.offset
+
+
+def _cut_out(grey: Image, predicted: Points, step: int) -> _View:
+    """Return the part of the frame about the predicted points, with room for windows and image pyramid."""
+    height, width = grey.shape
+    margin = _MARGIN_PX * step
+    left, top = np.maximum(np.floor(predicted.min(axis=0)).astype(int) - margin, 0)
+    right, bottom = np.minimum(np.ceil(predicted.max(axis=0)).astype(int) + 1 + margin, (width, height))
+    # Whole cells only: a reduced pixel is the mean of step x step raw ones.
+    right, bottom = right - (right - left) % step, bottom - (bottom - top) % step
+    image = grey[top:bottom, left:right]
+    if step > 1:
+        size = ((right - left) // step, (bottom - top) // step)
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return _View(image, np.array([left, top], np.float64), step)
+
+
+def _reduction(target: Target, H: Matrix3, shape: tuple[int, ...], side_px: int | None) -> int:
+    """Return by how much to reduce the view so that its area is at most about side_px^2: 1, 2 or 4."""
+    if side_px is None:
+        return 1
+    outline = transform(H, target.outline_template)
+    width, height = np.ptp(np.clip(outline, 0, (shape[1], shape[0])), axis=0)
+    side = math.sqrt(float(width * height))
+    return 1 if side <= side_px else 2 if side <= 2 * side_px else 4
 
 
 def _trimmed(followed: _Followed, H: Matrix3, min_points: int, window_px: int) -> Alignment:
@@ -164,65 +210,72 @@ def _trimmed(followed: _Followed, H: Matrix3, min_points: int, window_px: int) -
     for _ in range(_TRIMMINGS):
         if np.count_nonzero(kept) < min_points:
             raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
-        correlation = window_correlation(followed.image_xy[kept], window_px)
-        fit = fit_homography(
-            template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H, correlation=correlation
-        )
-        H = fit.H
+        H = fit_homography(template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H).H
         distance = np.hypot(*(transform(H, template_xy) - ideal).T)
         sigma = float(np.median(distance[kept])) / _RAYLEIGH_MEDIAN
         previous, kept = kept, distance <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX)
         if np.array_equal(previous, kept):
             break
-    return Alignment(template_xy[previous], followed.image_xy[previous], fit, correlation, followed.sought)
+    template_xy, image_xy, ideal = template_xy[previous], followed.image_xy[previous], ideal[previous]
+    correlation = window_correlation(image_xy, window_px)
+    fit = fit_homography(template_xy, ideal, error=HomographyError.TRANSFER, start=H, correlation=correlation)
+    return Alignment(template_xy, image_xy, fit, correlation, followed.sought)
 
 
-def _fitting_level(target: Target, H: Matrix3) -> AlignmentLevel:
-    """Return the octave whose pixels come out nearest to the frame's pixels in size."""
+def _fitting_level(target: Target, H: Matrix3, step: int) -> AlignmentLevel:
+    """Return the octave whose pixels come out nearest in size to the view's, each `step` of the frame's."""
     width, height = target.size
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
-    pixels = math.sqrt(abs(float(np.linalg.det(local_jacobian(H, centre)[0]))))  # frame px in a template px
+    pixels = math.sqrt(abs(float(np.linalg.det(local_jacobian(H, centre)[0]))))
+    pixels /= step  # view px in a template px
     steps = np.array([a.level.scale for a in target.alignment if len(a.corners)] or [1.0])
     return target.alignment[int(np.argmin(np.abs(np.log(steps * max(pixels, 1e-9)))))]
 
 
 def _visible(
-    corners: Points, H: Matrix3, camera: Camera | None, size: tuple[int, int], parameters: RefinementParameters
+    corners: Points, H: Matrix3, camera: Camera | None, shape: tuple[int, ...], margin: int, most: int
 ) -> tuple[Points, Points]:
-    """Return the corners in view and where they are expected, raw px; at most as many as wanted, spread evenly."""
+    """Return the corners in view and where they are expected, raw px; at most `most`, spread evenly."""
     mapped = corners @ H[:, :2].T + H[:, 2]
     ahead = mapped[:, 2] > 0
     corners, mapped = corners[ahead], mapped[ahead]
     xy = mapped[:, :2] / mapped[:, 2:]
     if camera is not None and len(xy):
         xy = camera.raw_pixels(xy)
-    border = parameters.window_px // 2 + 1
-    inside = (xy >= border).all(axis=1) & (xy < np.array(size) - border).all(axis=1)
+    inside = (xy >= margin).all(axis=1) & (xy < np.array((shape[1], shape[0])) - margin).all(axis=1)
     corners, xy = corners[inside], xy[inside]
-    if len(xy) > parameters.max_points:
+    if len(xy) > most:
         low = xy.min(axis=0)
         extent = np.ceil(xy.max(axis=0) - low).astype(int) + 1
-        chosen = spread(
-            xy - low, -np.arange(len(xy), dtype=np.float64), (int(extent[0]), int(extent[1])), parameters.max_points
-        )
+        rank = -np.arange(len(xy), dtype=np.float64)
+        chosen = spread(xy - low, rank, (int(extent[0]), int(extent[1])), most)
         corners, xy = corners[chosen], xy[chosen]
     return corners, xy
 
 
-def _drawn(target: Target, octave: AlignmentLevel, H_raw: Matrix3, offset: Points, view: Image) -> Image:
+def _drawn(target: Target, octave: AlignmentLevel, H_raw: Matrix3, view: _View) -> Image:
     """Draw the target as it should look in the view, brightness and contrast matched to it."""
     sx, sy = octave.level.step
     template_from_level = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
-    view_from_image = np.array([[1, 0, -offset[0]], [0, 1, -offset[1]], [0, 0, 1]])
-    size = (view.shape[1], view.shape[0])
-    M = view_from_image @ H_raw @ template_from_level
+    s = 1 / view.step
+    shift = (0.5 - view.offset) * s - 0.5
+    view_from_raw = np.array([[s, 0, shift[0]], [0, s, shift[1]], [0, 0, 1]])
+    size = (view.image.shape[1], view.image.shape[0])
+    M = view_from_raw @ H_raw @ template_from_level
+    # Its rim is continued outwards: a black surround would pull at the outermost patches, which weigh most.
     drawn = cv2.warpPerspective(octave.level.image, M, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    covered = np.zeros(view.shape, np.uint8)
-    outline = transform(H_raw, target.outline_template) - offset
+    covered = np.zeros(view.image.shape, np.uint8)
+    outline = view.from_raw(transform(H_raw, target.outline_template))
     cv2.fillConvexPoly(covered, np.clip(np.rint(outline), -30000, 30000).astype(np.int32), 255)
-    mean_drawn, deviation_drawn = (float(v[0, 0]) for v in cv2.meanStdDev(drawn, mask=covered))
-    mean_view, deviation_view = (float(v[0, 0]) for v in cv2.meanStdDev(view, mask=covered))
+    n = _SAMPLED
+    mean_drawn, deviation_drawn = _mean_and_deviation(drawn[::n, ::n], covered[::n, ::n])
+    mean_view, deviation_view = _mean_and_deviation(view.image[::n, ::n], covered[::n, ::n])
     if deviation_drawn < 1.0 or deviation_view < 1.0:
         return drawn
     gain = deviation_view / deviation_drawn
     return cv2.addWeighted(drawn, gain, drawn, 0.0, mean_view - gain * mean_drawn)
+
+
+def _mean_and_deviation(image: Image, mask: Image) -> tuple[float, float]:
+    mean, deviation = cv2.meanStdDev(np.ascontiguousarray(image), mask=np.ascontiguousarray(mask))
+    return float(mean[0, 0]), float(deviation[0, 0])

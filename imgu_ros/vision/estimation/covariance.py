@@ -56,8 +56,8 @@ def window_correlation(xy: Floats, side: float) -> Floats:
     xy : (N, 2) px, centres of square windows
     side : px, of the windows
     """
-    apart = np.abs(xy[:, None, :] - xy[None, :, :])
-    return np.asarray(np.clip(1 - apart / side, 0, None).prod(axis=2), np.float64)
+    x, y = (np.maximum(1 - np.abs(np.subtract.outer(c, c)) / side, 0) for c in np.ascontiguousarray(xy.T))
+    return np.asarray(x * y, np.float64)
 
 
 def _inverse(normal: Floats) -> Floats:
