@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 
@@ -8,12 +9,14 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 
 import rclpy
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
 from imgu_ros.ros.input import ImageInput, input_topics
 from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.qos import image_qos
 from imgu_ros.simulate.texture import procedural_texture
 
 
@@ -23,9 +26,10 @@ def make_node(ros_domain: int) -> Iterator[Callable[..., Node]]:
     rclpy.init(args=[], context=context, domain_id=ros_domain)
     nodes: list[Node] = []
 
-    def make(*remaps: str) -> Node:
-        arguments = ["--ros-args", *(word for rule in remaps for word in ("-r", rule))] if remaps else []
-        nodes.append(Node("perception", context=context, cli_args=arguments, enable_rosout=False))
+    def make(*remaps: str, arguments: Sequence[str] = ()) -> Node:
+        given = [*arguments, *(word for rule in remaps for word in ("-r", rule))]
+        given = ["--ros-args", *given] if given else []
+        nodes.append(Node("perception", context=context, cli_args=given, enable_rosout=False))
         return nodes[-1]
 
     yield make
@@ -93,3 +97,38 @@ def test_callbacks_hand_over_the_newest_and_count(make_node, monkeypatch):
     assert source.unmatched == 1
     source.close()
     assert not source.is_open
+
+
+def test_why_no_image_comes(make_node):
+    node, driver = make_node(), make_node()
+    source = ImageInput(node, "raw")
+    assert source.why_silent() == ""
+    source.open()
+    assert source.why_silent() == ""  # not yet
+    source._opened_s -= 10
+    assert source.why_silent() == "no publisher on /image_raw"
+    publisher = driver.create_publisher(message_class("sensor_msgs/msg/Image"), "image_raw", image_qos())
+    end = time.monotonic() + 5
+    while source.why_silent() == "no publisher on /image_raw" and time.monotonic() < end:
+        time.sleep(0.02)
+    assert source.why_silent() == "no images on /image_raw for 10 s"
+    driver.destroy_publisher(publisher)
+
+
+def test_incompatible_qos_is_said(make_node, tmp_path):
+    file = tmp_path / "p.yaml"
+    file.write_text(
+        "/**: {ros__parameters: {qos_overrides: {/image_raw: {subscription: {reliability: reliable, depth: 7}}}}}\n"
+    )
+    node, driver = make_node(arguments=["--params-file", str(file)]), make_node()
+    source = ImageInput(node, "raw")
+    driver.create_publisher(message_class("sensor_msgs/msg/Image"), "image_raw", image_qos())
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    source.open()
+    source._opened_s -= 10
+    end = time.monotonic() + 5
+    while not source.counters.incompatible and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.05)
+    assert source.why_silent() == "only publishers with incompatible QoS on /image_raw (reliability)"
+    executor.shutdown()

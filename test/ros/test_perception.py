@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
+from imgu_ros.cli.main import main
 from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.features import decode_homographies
 from imgu_ros.codec.header import Header, decode_header
@@ -28,7 +30,7 @@ from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage, prepare_targets
-from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.qos import image_qos
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
@@ -207,8 +209,6 @@ def test_reasons_when_nothing_comes(node, world, peer):
     wrong = peer.publisher("/cam/image_raw", INFO)
     said("only sensor_msgs/msg/CameraInfo on /cam/image_raw")
     peer.node.destroy_publisher(wrong)
-    Camera(peer)
-    said("no images on /cam/image_raw for")
 
 
 def test_services_and_parameters(node, world, peer):
@@ -329,17 +329,40 @@ def test_a_signal_ends_a_node_that_starts(imgu, world, delay_s):
     assert "Traceback" not in node.text
 
 
-def test_bad_qos_override_and_missing_tf_messages_are_refused(imgu, tmp_path):
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run the command in this process, which it is to leave at once; return its one line."""
+    assert main(["node", "perception", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-p", "homography.treshold_px:=2.0"], "unknown parameter; nearest known: homography.threshold_px"),
+        (["-p", "seed:=x"], "seed: 'x' (str); need an integer"),
+        (["-p", "targets.images:=[/nowhere/x.png]"], "/nowhere/x.png"),
+        (["-p", "targets.poses:=[1.0]"], "targets.poses: 1 values"),
+        (["-p", "publish_tf:=true", "-p", "tf.root_frame:=base_link"], "tf.root_frame"),
+    ],
+)
+def test_what_cannot_start_says_why_in_one_line(capsys, ros_domain, arguments, said):
+    assert said in refusal(capsys, *arguments)
+
+
+def test_a_qos_override_of_no_topic_is_refused(capsys, ros_domain, tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("/**: {ros__parameters: {qos_overrides: {/image_rw: {subscription: {depth: 2}}}}}\n")
-    node = imgu("node", "perception", "--params-file", str(file))
-    assert node.wait() == 1
-    assert "qos_overrides./image_rw.subscription.depth: unknown parameter" in node.text
-    assert "nearest known: qos_overrides./image_raw.subscription.depth" in node.text
-    try:
-        import tf2_msgs.msg  # noqa: F401
-    except ImportError:
-        node = imgu("node", "perception", "-p", "publish_tf:=true")
-        assert node.wait() == 1
-        assert "tf2_msgs" in node.text
-        assert "Traceback" not in node.text
+    line = refusal(capsys, "--params-file", str(file))
+    assert "qos_overrides./image_rw.subscription.depth: unknown parameter" in line
+    assert "nearest known: qos_overrides./image_raw.subscription.depth" in line
+
+
+def test_publish_tf_without_tf_messages_is_refused(capsys, ros_domain, monkeypatch):
+    message_class.cache_clear()
+    for name in ("tf2_msgs", "tf2_msgs.msg"):
+        monkeypatch.setitem(sys.modules, name, None)
+    line = refusal(capsys, "-p", "publish_tf:=true")
+    assert "tf2_msgs" in line
+    assert "apt install" in line
