@@ -13,8 +13,6 @@ import numpy as np
 from imgu_ros.errors import FileError
 from imgu_ros.perception.result import Result, Stage, TargetResult
 from imgu_ros.types import Floats
-from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.rotation import quaternion
 
 _IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status")
 _COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px")
@@ -89,18 +87,13 @@ def _row(result: Result, target: TargetResult) -> list[str]:
         _text(None if estimate is None else int(np.count_nonzero(estimate.inliers))),
         _text(None if estimate is None else estimate.rms_px),
         *_texts(None if estimate is None else estimate.H, 9),
-        *_texts(None if pose is None else pose_numbers(pose), 7),
+        *_texts(None if pose is None else pose.transform.numbers(), 7),
         *_texts(None if pose is None else pose.covariance, 36),
         _text(target.ambiguity),
         _milliseconds(result.total_ns or None),
     ]
     times = result.times_ns or {}
     return row + [_milliseconds(times.get(stage)) for stage in Stage]
-
-
-def pose_numbers(pose: Pose) -> Floats:
-    """Return a pose as (7,): tx ty tz (m), qx qy qz qw (qw >= 0)."""
-    return np.concatenate((pose.t, quaternion(pose.R)))
 
 
 def _texts(values: Floats | None, count: int) -> list[str]:

@@ -11,8 +11,7 @@ from typing import TextIO
 
 import numpy as np
 
-from imgu_ros.bags.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS, pose_numbers
-from imgu_ros.codec.transform import inverse_pose
+from imgu_ros.bags.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.errors import FileError
 from imgu_ros.perception.result import PoseStatus, Result
 
@@ -49,11 +48,11 @@ class PoseFiles:
         frame = result.frame
         for target in result.targets:
             if target.pose is not None:
-                numbers = " ".join(repr(float(value)) for value in pose_numbers(inverse_pose(target.pose)))
+                numbers = " ".join(repr(float(value)) for value in target.pose.inverse().transform.numbers())
                 self._trajectories[target.name].write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
             elif target.pose_status is PoseStatus.AMBIGUOUS:
                 for number, pose in enumerate(target.solutions, 1):
-                    values = np.concatenate(([pose.rms_px], pose_numbers(pose), pose.covariance.ravel()))
+                    values = np.concatenate(([pose.rms_px], pose.transform.numbers(), pose.covariance.ravel()))
                     texts = [repr(float(value)) for value in values]
                     self._ambiguous.writerow([frame.stamp_ns, frame.frame_id, target.name, number, *texts])
 

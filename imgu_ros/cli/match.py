@@ -164,9 +164,7 @@ def _check_size(arguments: argparse.Namespace, camera: tuple[int, int], image: t
 
 
 def _pose_document(pose: Pose) -> dict[str, object]:
-    from imgu_ros.bags.frames_csv import pose_numbers
-
-    numbers = pose_numbers(pose).tolist()
+    numbers = pose.transform.numbers().tolist()
     return {
         "position_m": numbers[:3],
         "quaternion_xyzw": numbers[3:],

@@ -11,10 +11,10 @@ import numpy as np
 
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
-from imgu_ros.codec.transform import RigidTransform, inverse_pose
 from imgu_ros.errors import ParameterError
 from imgu_ros.types import Floats, Matrix3, Points
 from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import quaternion
 
 #: Variance that says "unknown" in nav_msgs/Odometry.
@@ -54,7 +54,7 @@ def odometry_message(make: MessageFactory, header: Header, target_frame: str, ca
         "nav_msgs/msg/Odometry",
         header=header_message(make, Header(header.stamp_ns, target_frame)),
         child_frame_id=header.frame_id,
-        pose=_pose_with_covariance(make, inverse_pose(camera_from_target)),
+        pose=_pose_with_covariance(make, camera_from_target.inverse()),
         twist=make(
             "geometry_msgs/msg/TwistWithCovariance",
             twist=make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
@@ -90,7 +90,7 @@ class PathHistory:
             self._sent_ns = None
         self._last_ns = stamp_ns
         make, header = self._make, Header(stamp_ns, self._target_frame)
-        target_from_camera = inverse_pose(camera_from_target)
+        target_from_camera = camera_from_target.inverse()
         self._poses.append(
             make(
                 "geometry_msgs/msg/PoseStamped",

@@ -19,9 +19,9 @@ from imgu_ros.codec.geometry import StampedTransform, odometry_message, outline_
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
 from imgu_ros.codec.status import status_message
-from imgu_ros.codec.transform import RigidTransform, inverse_pose
 from imgu_ros.perception.result import Result, TargetResult
 from imgu_ros.types import Image
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ def result_tf_message(
     camera_frame = result.frame.frame_id
     posed = [target for target in result.targets if target.pose is not None]
     transforms = [
-        StampedTransform(camera_frame, target_prefix + target.name, RigidTransform(target.pose.R, target.pose.t))
+        StampedTransform(camera_frame, target_prefix + target.name, target.pose.transform)
         for target in posed
         if target.pose is not None
     ]
@@ -157,10 +157,9 @@ def _map_transforms(posed: Sequence[TargetResult], camera_frame: str, map_frame:
         camera_from_root = RigidTransform(np.eye(3), np.zeros(3))
     if camera_from_root is None:
         return []
-    places = [(target.index, inverse_pose(target.pose)) for target in posed if target.pose is not None]
+    places = [(target.index, target.pose.inverse()) for target in posed if target.pose is not None]
     index, camera_place = min(places, key=lambda place: float(np.trace(place[1].covariance[:3, :3])))
-    target_from_camera = RigidTransform(camera_place.R, camera_place.t)
-    map_from_root = map_frame.map_from_target[index].after(target_from_camera).after(camera_from_root)
+    map_from_root = map_frame.map_from_target[index].after(camera_place.transform).after(camera_from_root)
     return [StampedTransform(map_frame.name, root_frame, map_from_root)]
 
 

@@ -11,7 +11,8 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.simulate.truth import Truth, corner_error
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.camera.rotation import from_quaternion, log_so3
+from imgu_ros.vision.camera.rigid import rigid_transform
+from imgu_ros.vision.camera.rotation import log_so3
 
 #: What counts when an estimate puts a corner on or behind the horizon, where the corner error is infinite, px.
 _LARGEST_CORNER_ERROR_PX = 1e4
@@ -84,11 +85,12 @@ class TruthComparison:
         if truth.pose is None:
             return RowErrors(corner_px=corner_px)
         R_true, t_true = truth.pose.R, truth.pose.t
-        true_position = -R_true.T @ t_true
+        true_position = truth.pose.inverse().t
         if pose is None or covariance is None:
             return RowErrors(corner_px=corner_px, true_position=true_position)
-        delta_r = log_so3(R_true @ from_quaternion(pose[3:]).T)
-        delta_t = t_true - pose[:3]
+        estimate = rigid_transform(pose)
+        delta_r = log_so3(R_true @ estimate.R.T)
+        delta_t = t_true - estimate.t
         return RowErrors(
             corner_px=corner_px,
             rotation_deg=float(np.rad2deg(np.linalg.norm(delta_r))),
@@ -107,8 +109,7 @@ class TruthComparison:
 
 def camera_position(pose: Floats) -> Floats:
     """Return where the camera is in the target's frame, (3,) m, from camera_from_target (7,)."""
-    position: Floats = -from_quaternion(pose[3:]).T @ pose[:3]
-    return position
+    return rigid_transform(pose).inverse().t
 
 
 def _nees(delta: Floats, covariance: Floats) -> float | None:

@@ -20,13 +20,13 @@ from imgu_ros.codec.results import (
     result_header,
     result_tf_message,
 )
-from imgu_ros.codec.transform import transforms_from_numbers
 from imgu_ros.errors import ParameterError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.result import Result, TargetResult
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.qos import no_events, output_qos, overridable, override_names
+from imgu_ros.vision.camera.rigid import rigid_transforms
 
 _IMAGE = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -186,5 +186,5 @@ def _served(names: Sequence[str], parameters: Parameters) -> tuple[object, ...]:
 def _map_frame(parameters: Parameters) -> MapFrame | None:
     if not parameters.targets.poses:
         return None
-    poses = transforms_from_numbers(parameters.targets.poses, "targets.poses")
+    poses = rigid_transforms(parameters.targets.poses, "targets.poses")
     return MapFrame(parameters.frames.map, poses, parameters.tf.root_frame)

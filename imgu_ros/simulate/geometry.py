@@ -1,35 +1,12 @@
-"""Rigid transforms and the plane-to-image homographies that follow from them, exact to rounding."""
+"""The homographies between template, printed plane and image that follow from a pose, exact to rounding."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RigidTransform:
-    """`dst_from_src`: x_dst = R x_src + t.
-
-    Attributes
-    ----------
-    R : (3, 3) rotation
-    t : (3,) m
-    """
-
-    R: Matrix3
-    t: Floats
-
-    def after(self, first: RigidTransform) -> RigidTransform:
-        """Return the transform that applies `first`, then this one."""
-        return RigidTransform(self.R @ first.R, self.R @ first.t + self.t)
-
-    def inverse(self) -> RigidTransform:
-        """Return `src_from_dst`."""
-        return RigidTransform(self.R.T, -self.R.T @ self.t)
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 def image_from_template(K: Matrix3, camera_from_target: RigidTransform, target_from_template: Matrix3) -> Matrix3:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.simulate.geometry import RigidTransform, rotation_about
+from imgu_ros.simulate.geometry import rotation_about
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 _OPTICAL = np.diag([1.0, -1.0, -1.0])  # camera axes right, down, forward from scene axes right, up, towards
 

@@ -13,13 +13,14 @@ import numpy as np
 from imgu_ros.errors import ShapeError
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.coverage import rectangle_coverage
-from imgu_ros.simulate.geometry import RigidTransform, image_from_template
+from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.levels import Levels
 from imgu_ros.simulate.optics import PixelGrid, PlaneMap
 from imgu_ros.simulate.scene import Scene, size_of, template_matrix
 from imgu_ros.simulate.wall import WALL_REFLECTANCE, Wall
 from imgu_ros.types import Floats, Image, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 
 #: Samples along each side of a pixel.

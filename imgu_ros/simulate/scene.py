@@ -10,8 +10,9 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.perception.targets import TargetImage
-from imgu_ros.simulate.geometry import RigidTransform, rotation_about, target_from_template
+from imgu_ros.simulate.geometry import rotation_about, target_from_template
 from imgu_ros.types import Floats, Matrix3, as_image
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 _LARGEST_LEAN_RAD = math.radians(12.0)
 _GAP = 0.12

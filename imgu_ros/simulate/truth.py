@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from imgu_ros.errors import FileError, ShapeError
-from imgu_ros.simulate.geometry import RigidTransform
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform
 
 _H_COLUMNS = tuple(f"h{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 _POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
@@ -56,7 +55,7 @@ def write_truth(path: Path, truths: Iterable[Truth]) -> None:
             writer.writerow(COLUMNS)
             for truth in truths:
                 numbers = [repr(float(x)) for x in truth.H.ravel()]
-                pose = [""] * 7 if truth.pose is None else [repr(float(x)) for x in _pose_numbers(truth.pose)]
+                pose = [""] * 7 if truth.pose is None else [repr(float(x)) for x in truth.pose.numbers()]
                 writer.writerow([truth.stamp_ns, truth.target, *numbers, *pose])
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a writable file") from None
@@ -156,19 +155,13 @@ def _project(H: Matrix3, points: Points) -> Floats:
     return projected
 
 
-def _pose_numbers(pose: RigidTransform) -> Floats:
-    return np.concatenate((pose.t, Rotation.from_matrix(pose.R).as_quat(canonical=True)))
-
-
 def _truth(row: dict[str, str], where: str) -> Truth:
     try:
-        H = np.array([float(row[c]) for c in _H_COLUMNS]).reshape(3, 3)
+        H = as_matrix(np.reshape([float(row[c]) for c in _H_COLUMNS], (3, 3)), (3, 3), "H")
         known = all(row[c] for c in _POSE_COLUMNS)
-        numbers = [float(row[c]) for c in _POSE_COLUMNS] if known else []
-        pose = RigidTransform(Rotation.from_quat(numbers[3:]).as_matrix(), np.array(numbers[:3])) if known else None
-        finite = np.isfinite(H).all() and np.isfinite(numbers).all()
-        if not finite:
-            raise ValueError("a number is not finite")
+        pose = rigid_transform([float(row[c]) for c in _POSE_COLUMNS], "pose") if known else None
         return Truth(int(row["stamp_ns"]), row["target"], H, pose)
+    except ShapeError as error:
+        raise FileError(f"{where}: {error}") from None
     except (TypeError, ValueError) as error:
         raise FileError(f"{where}: {error}; need finite numbers") from None

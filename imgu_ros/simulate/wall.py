@@ -8,10 +8,10 @@ from functools import cache
 import cv2
 import numpy as np
 
-from imgu_ros.simulate.geometry import RigidTransform
 from imgu_ros.simulate.optics import PlaneMap
 from imgu_ros.simulate.texture import wall_texture
 from imgu_ros.types import Image, Matrix3
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 _SIDE_PX = 1024
 #: The texture repeats after this many scene radii.

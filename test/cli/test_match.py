@@ -10,10 +10,11 @@ import pytest
 from imgu_ros.cli.main import main
 from imgu_ros.files.camera_info_file import write_camera_info
 from imgu_ros.files.images import read_image, write_image
-from imgu_ros.simulate.geometry import RigidTransform, image_from_template, rotation_about, target_from_template
+from imgu_ros.simulate.geometry import image_from_template, rotation_about, target_from_template
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.camera.intrinsics import make_camera
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 
 SIZE = (640, 480)

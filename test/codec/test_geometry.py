@@ -13,9 +13,9 @@ from imgu_ros.codec.geometry import (
     tf_message,
 )
 from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.codec.transform import RigidTransform, inverse_pose
 from imgu_ros.errors import ParameterError
 from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 HEADER = Header(10_250_000_000, "camera")
 SECOND_NS = 1_000_000_000
@@ -62,7 +62,7 @@ def test_odometry_is_the_camera_before_the_target(make):
     np.testing.assert_allclose(pose.R @ xyz(message.pose.pose.position) + pose.t, 0, atol=1e-12)
     R = Rotation.from_quat(quaternion(message.pose.pose.orientation)).as_matrix()
     np.testing.assert_allclose(R, pose.R.T, atol=1e-12)
-    np.testing.assert_array_equal(np.asarray(message.pose.covariance).reshape(6, 6), inverse_pose(pose).covariance)
+    np.testing.assert_array_equal(np.asarray(message.pose.covariance).reshape(6, 6), pose.inverse().covariance)
     assert xyz(message.twist.twist.linear).tolist() == xyz(message.twist.twist.angular).tolist() == [0, 0, 0]
     np.testing.assert_array_equal(np.asarray(message.twist.covariance).reshape(6, 6), 1e6 * np.eye(6))
 
@@ -76,7 +76,7 @@ def test_path_at_most_once_a_second(make):
     assert sent[30].header.frame_id == "poster"
     assert decode_header(sent[30]).stamp_ns == 3 * SECOND_NS
     assert decode_header(sent[30].poses[7]).stamp_ns == 7 * SECOND_NS // 10
-    np.testing.assert_allclose(xyz(sent[30].poses[0].pose.position), inverse_pose(some_pose()).t)
+    np.testing.assert_allclose(xyz(sent[30].poses[0].pose.position), some_pose().inverse().t)
 
 
 def test_path_is_bounded_and_starts_anew_after_a_jump(make):

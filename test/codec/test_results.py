@@ -17,9 +17,9 @@ from imgu_ros.codec.header import Header, decode_header
 from imgu_ros.codec.image import decode_image
 from imgu_ros.codec.point_cloud import point_cloud_message
 from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS, MapFrame, level_message, result_tf_message
-from imgu_ros.codec.transform import RigidTransform, inverse_pose
 from imgu_ros.errors import EncodingError
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel
 
 HEADER = Header(10_250_000_000, "camera")
@@ -234,4 +234,4 @@ def test_tf_places_the_robot_by_the_most_certain_target(result):
 def test_odometry_has_the_inverse_pose(make, result):
     message = TARGET_OUTPUTS["odom"].message(make, result, result.targets[0], "poster")
     position = message.pose.pose.position
-    np.testing.assert_allclose([position.x, position.y, position.z], inverse_pose(result.targets[0].pose).t)
+    np.testing.assert_allclose([position.x, position.y, position.z], result.targets[0].pose.inverse().t)

@@ -11,7 +11,7 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.develop import develop
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import PoseStatus, Result, Stage, Status, TargetMatches, TargetResult
-from imgu_ros.simulate.geometry import RigidTransform, image_from_template, target_from_template
+from imgu_ros.simulate.geometry import image_from_template, target_from_template
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -69,7 +69,7 @@ def _target(
     pose = Pose(tilt @ R, np.array([0.02 * index - 0.1, 0.01 + 0.1 * place, 0.9]), np.diag([1e-6] * 6), 0.3)
     assert frame.camera is not None
     template = target_from_template(TEMPLATE_SIZE, WIDTH_M)
-    H = image_from_template(frame.camera.K, RigidTransform(pose.R, pose.t), template)
+    H = image_from_template(frame.camera.K, pose.transform, template)
     w, h = TEMPLATE_SIZE
     corners = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
     inside = np.random.default_rng(0).uniform((0, 0), TEMPLATE_SIZE, (40, 2))

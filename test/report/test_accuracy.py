@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from imgu_ros.report.accuracy import TruthComparison, camera_position
-from imgu_ros.simulate.geometry import RigidTransform, image_from_template, rotation_about, target_from_template
+from imgu_ros.simulate.geometry import image_from_template, rotation_about, target_from_template
 from imgu_ros.simulate.truth import Truth
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import quaternion
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])

@@ -28,7 +28,6 @@ from imgu_ros.report.summary import (
     write_summary,
 )
 from imgu_ros.report.table import FrameTable, read_frame_table
-from imgu_ros.simulate.geometry import RigidTransform
 from imgu_ros.simulate.truth import Truth
 
 MakeResult = Callable[..., Result]
@@ -63,7 +62,7 @@ def summary_of(table: FrameTable, **changed: object) -> Summary:
 
 def truth_of(results: list[Result]) -> TruthComparison:
     truths = [
-        Truth(r.frame.stamp_ns, t.name, t.homography.H, RigidTransform(t.pose.R, t.pose.t))
+        Truth(r.frame.stamp_ns, t.name, t.homography.H, t.pose.transform)
         for r in results
         for t in r.targets
         if t.homography is not None and t.pose is not None

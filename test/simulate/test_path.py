@@ -9,11 +9,12 @@ import pytest
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.perception.targets import TargetImage
-from imgu_ros.simulate.geometry import RigidTransform, image_from_template
+from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.path import Motion, camera_from_scene_at
 from imgu_ros.simulate.scene import arrange_scene, radius_of, template_matrix
 from imgu_ros.simulate.sequence import default_camera
 from imgu_ros.simulate.truth import points_in_image, target_grid
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 CAMERA = default_camera(1280, 720)
 TARGET = TargetImage("t", np.zeros((960, 1280, 3), np.uint8), 0.5)

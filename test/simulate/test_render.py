@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.perception.targets import TargetImage
-from imgu_ros.simulate.geometry import RigidTransform, image_from_template, rotation_about
+from imgu_ros.simulate.geometry import image_from_template, rotation_about
 from imgu_ros.simulate.optics import PixelGrid
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import Scene, arrange_scene, template_matrix
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, default_camera
 from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 

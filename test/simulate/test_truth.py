@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgu_ros.errors import FileError, ShapeError
-from imgu_ros.simulate.geometry import RigidTransform, rotation_about
+from imgu_ros.simulate.geometry import rotation_about
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, default_camera
 from imgu_ros.simulate.truth import COLUMNS, Truth, corner_error, read_truth, write_truth
 from imgu_ros.vision.camera.intrinsics import DistortionModel
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 TEMPLATE, IMAGE = (100, 60), (640, 480)
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from imgu_ros.types import Floats, Matrix3
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,3 +26,27 @@ class Pose:
     t: Floats
     covariance: Floats
     rms_px: float
+
+    @property
+    def transform(self) -> RigidTransform:
+        """The pose without its covariance."""
+        return RigidTransform(self.R, self.t)
+
+    def inverse(self) -> Pose:
+        """Return `src_from_dst`, its covariance about the new destination's axes.
+
+        With R_true = Exp(d) R and t_true = t + e, the true inverse is, to first order in d and e,
+
+            R_true^T = Exp(-R^T d) R^T
+            -R_true^T t_true = -R^T t - R^T e - R^T [t]x d
+
+        so that the errors (e, d) of the pose become J (e, d), J = -[[R^T, R^T [t]x], [0, R^T]]: but for the sign, the
+        adjoint of the inverse (Barfoot, State Estimation for Robotics, 7.1.4) with translation first, as ROS orders it.
+        """
+        inverse = self.transform.inverse()
+        x, y, z = self.t
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        J = np.zeros((6, 6))
+        J[:3, :3] = J[3:, 3:] = -inverse.R
+        J[:3, 3:] = -inverse.R @ cross
+        return Pose(inverse.R, inverse.t, J @ self.covariance @ J.T, self.rms_px)

@@ -1,11 +1,11 @@
+"""Poses: the inverse and its covariance."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imgu_ros.codec.transform import RigidTransform, inverse_pose, transforms_from_numbers
-from imgu_ros.errors import ParameterError
 from imgu_ros.vision.camera.pose import Pose
 
 
@@ -18,7 +18,7 @@ def random_pose(seed: int, sigma: float) -> Pose:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_covariance_of_the_inverse_by_monte_carlo(seed):
     pose = random_pose(seed, 1e-3)
-    inverse = inverse_pose(pose)
+    inverse = pose.inverse()
     np.testing.assert_allclose(inverse.R @ pose.R, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(inverse.R @ pose.t + inverse.t, 0, atol=1e-12)
 
@@ -38,7 +38,7 @@ def test_covariance_of_the_inverse_by_monte_carlo(seed):
 
 def test_twice_inverted_is_the_same():
     pose = random_pose(4, 0.1)
-    again = inverse_pose(inverse_pose(pose))
+    again = pose.inverse().inverse()
     np.testing.assert_allclose(again.R, pose.R, atol=1e-12)
     np.testing.assert_allclose(again.t, pose.t, atol=1e-12)
     np.testing.assert_allclose(again.covariance, pose.covariance, atol=1e-12)
@@ -48,23 +48,5 @@ def test_a_distant_camera_is_less_certain_sideways():
     """Only the tilt about the camera's x is uncertain: 2 m away, the camera's place is, along y."""
     covariance = np.zeros((6, 6))
     covariance[3, 3] = 0.01**2
-    inverse = inverse_pose(Pose(np.eye(3), np.array([0.0, 0.0, 2.0]), covariance, 0.0))
+    inverse = Pose(np.eye(3), np.array([0.0, 0.0, 2.0]), covariance, 0.0).inverse()
     np.testing.assert_allclose(np.diag(inverse.covariance), [0, 0.02**2, 0, 0.01**2, 0, 0], atol=1e-15)
-
-
-def test_seven_numbers_are_a_transform():
-    half = np.sqrt(0.5)
-    first, second = transforms_from_numbers([1, 2, 3, 0, 0, half, half, 0, 0, 0, 0, 0, 0, -2.0], "targets.poses")
-    np.testing.assert_allclose(first.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
-    np.testing.assert_array_equal(first.t, [1, 2, 3])
-    np.testing.assert_array_equal(second.R, np.eye(3))
-    chained = first.after(RigidTransform(np.eye(3), np.array([1.0, 0, 0])))
-    np.testing.assert_allclose(chained.t, [1, 3, 3])
-    np.testing.assert_allclose(first.inverse().after(first).t, 0, atol=1e-15)
-    assert transforms_from_numbers([], "targets.poses") == ()
-
-
-@pytest.mark.parametrize("numbers", [[1.0] * 6, [0.0] * 7, [float("nan")] * 7])
-def test_bad_transforms(numbers):
-    with pytest.raises(ParameterError, match="targets.poses"):
-        transforms_from_numbers(numbers, "targets.poses")
