@@ -31,12 +31,20 @@ def tangent_basis(H: Matrix3) -> Floats:
     return np.asarray(reflection[:, 1:], np.float64)
 
 
-class TransferProblem:
-    """Residuals in the destination image: (N, 2), px."""
+class _HomographyProblem:
+    """What the problems share: corresponding points, (N, 2) each, and the step."""
 
     def __init__(self, src: Points, dst: Points) -> None:
         self._src = src
         self._dst = dst
+
+    def step(self, estimate: Floats, delta: Floats) -> Floats:
+        """Return H moved along its tangent and brought back to unit norm."""
+        return stepped(estimate, delta)
+
+
+class TransferProblem(_HomographyProblem):
+    """Residuals in the destination image: (N, 2), px."""
 
     def residuals(self, estimate: Floats) -> Floats:
         """Return mapped - measured, (N, 2)."""
@@ -48,17 +56,9 @@ class TransferProblem:
         by_h = _derivative_by_h(estimate, self._src)
         return Linearisation(self.residuals(estimate), by_h @ tangent_basis(estimate))
 
-    def step(self, estimate: Floats, delta: Floats) -> Floats:
-        """Return H moved along its tangent and brought back to unit norm."""
-        return stepped(estimate, delta)
 
-
-class SymmetricProblem:
+class SymmetricProblem(_HomographyProblem):
     """Residuals in the destination and, by the inverse, in the source: (N, 4), px."""
-
-    def __init__(self, src: Points, dst: Points) -> None:
-        self._src = src
-        self._dst = dst
 
     def residuals(self, estimate: Floats) -> Floats:
         """Return (H src - dst, H^-1 dst - src), (N, 4)."""
@@ -76,17 +76,9 @@ class SymmetricProblem:
         backward = by_inverse @ (-np.kron(inverse, inverse.T)) @ basis
         return Linearisation(self.residuals(estimate), np.concatenate((forward, backward), axis=1))
 
-    def step(self, estimate: Floats, delta: Floats) -> Floats:
-        """Return H moved along its tangent and brought back to unit norm."""
-        return stepped(estimate, delta)
 
-
-class SampsonProblem:
+class SampsonProblem(_HomographyProblem):
     """Whitened Sampson residuals, (N, 2), px: their squares sum to the Sampson error (HZ section 4.2.6)."""
-
-    def __init__(self, src: Points, dst: Points) -> None:
-        self._src = src
-        self._dst = dst
 
     def residuals(self, estimate: Floats) -> Floats:
         """Return W (H src - dst), with W^-1 W^-T = I + J J^T and J the derivative of H src by src."""
@@ -102,10 +94,6 @@ class SampsonProblem:
         factor = _whitening_factor(J)
         residuals = _solved(factor, transfer[:, :, None])[:, :, 0]
         return Linearisation(residuals, _solved(factor, by_h @ tangent_basis(estimate)))
-
-    def step(self, estimate: Floats, delta: Floats) -> Floats:
-        """Return H moved along its tangent and brought back to unit norm."""
-        return stepped(estimate, delta)
 
     def _parts(self, estimate: Floats) -> tuple[Floats, Floats, Floats]:
         mapped = self._src @ estimate[:, :2].T + estimate[:, 2]
