@@ -43,6 +43,9 @@ LAYERS = {
     "vision": {"errors", "types", "vision"},
     "perception": {"errors", "types", "params", "vision", "perception"},
     "codec": {"errors", "types", "params", "vision", "perception", "codec"},
+    "files": {"errors", "types", "params", "vision", "perception", "files"},
+    "simulate": {"errors", "types", "params", "vision", "perception", "codec", "files", "bags", "simulate"},
+    "report": {"errors", "types", "params", "vision", "perception", "files", "simulate", "report"},
 }
 
 #: What a layer may import from outside the standard library, where that is limited.
@@ -182,6 +185,7 @@ def test_package_keeps_the_rule(rule: Callable[[Source], Iterator[str]]) -> None
         (wrong_imports, "codec.image", "from sensor_msgs.msg import Image"),
         (wrong_imports, "codec.image", "from rosbags.typesys import Stores"),
         (wrong_imports, "codec.image", "import imgu_ros.bags.reading"),
+        (wrong_imports, "report.table", "from imgu_ros.bags.reading import open_bag"),
         (wrong_imports, "bags.reading", "from rclpy.serialization import deserialize_message"),
         (wrong_imports, "bags.replay", "def f():\n    from imgu_ros.ros import messages"),
         (wrong_imports, "bags.replay", "from imgu_ros.cli import main"),

@@ -10,13 +10,13 @@ from itertools import chain as chained
 from pathlib import Path
 
 from imgu_ros.bags.frame_source import FrameSource, RecordedFrame
-from imgu_ros.bags.frames_csv import FramesWriter
 from imgu_ros.bags.output_folder import RESULTS, check_output_folder, prepare_output_folder
-from imgu_ros.bags.pose_files import PoseFiles
 from imgu_ros.bags.reading import Bag, open_bag
 from imgu_ros.bags.reasons import Reasons
 from imgu_ros.bags.results_bag import ResultsBag, checked_record
 from imgu_ros.errors import BagError, ParameterError
+from imgu_ros.files.frames_csv import FramesWriter
+from imgu_ros.files.pose_files import PoseFiles
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters, parameter_values
 from imgu_ros.perception.chain import Chain

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imgu_ros.bags.frames_csv import C_COLUMNS, H_COLUMNS, Q_COLUMNS, T_COLUMNS, TIME_COLUMNS, read_rows
+from imgu_ros.files.frames_csv import C_COLUMNS, H_COLUMNS, Q_COLUMNS, T_COLUMNS, TIME_COLUMNS, read_rows
 from imgu_ros.perception.result import PoseStatus, Stage, Status
 from imgu_ros.report.accuracy import RowErrors, TruthComparison, camera_position
 from imgu_ros.types import Floats, Indices, Mask

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.files.frames_csv import H_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform
 
-_H_COLUMNS = tuple(f"h{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
-_POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-COLUMNS = ("stamp_ns", "target", *_H_COLUMNS, *_POSE_COLUMNS)
+_POSE_COLUMNS = (*T_COLUMNS, *Q_COLUMNS)
+COLUMNS = ("stamp_ns", "target", *H_COLUMNS, *_POSE_COLUMNS)
 
 _GRID = 9
 
@@ -157,7 +157,7 @@ def _project(H: Matrix3, points: Points) -> Floats:
 
 def _truth(row: dict[str, str], where: str) -> Truth:
     try:
-        H = as_matrix(np.reshape([float(row[c]) for c in _H_COLUMNS], (3, 3)), (3, 3), "H")
+        H = as_matrix(np.reshape([float(row[c]) for c in H_COLUMNS], (3, 3)), (3, 3), "H")
         known = all(row[c] for c in _POSE_COLUMNS)
         pose = rigid_transform([float(row[c]) for c in _POSE_COLUMNS], "pose") if known else None
         return Truth(int(row["stamp_ns"]), row["target"], H, pose)

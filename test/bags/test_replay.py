@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imgu_ros.bags.frames_csv import COLUMNS
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.replay import replay
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.errors import BagError, FileError, ParameterError
+from imgu_ros.files.frames_csv import COLUMNS
 from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.params import Parameters, parameters_from
 from imgu_ros.perception.result import Stage

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from imgu_ros.bags.frames_csv import FramesWriter
 from imgu_ros.errors import FileError
+from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.params import Parameters, parameter_values
 from imgu_ros.perception.result import PoseStatus, Result, Status
 from imgu_ros.report.accuracy import TruthComparison

@@ -11,8 +11,8 @@ from typing import TextIO
 
 import numpy as np
 
-from imgu_ros.bags.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.errors import FileError
+from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.perception.result import PoseStatus, Result
 
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imgu_ros.bags.pose_files import AMBIGUOUS_COLUMNS, PoseFiles, seconds_text
 from imgu_ros.errors import FileError
+from imgu_ros.files.pose_files import AMBIGUOUS_COLUMNS, PoseFiles, seconds_text
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.vision.camera.pose import Pose
