@@ -14,6 +14,7 @@ from imgu_ros.bags.output_folder import RESULTS, check_output_folder, prepare_ou
 from imgu_ros.bags.reading import Bag, open_bag
 from imgu_ros.bags.reasons import Reasons
 from imgu_ros.bags.results_bag import ResultsBag, checked_record
+from imgu_ros.codec.results import needs_keypoints
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.pose_files import PoseFiles
@@ -173,7 +174,11 @@ class _Run:
             poses = stack.enter_context(PoseFiles(self.out, names))
             messages = stack.enter_context(ResultsBag(self.out / RESULTS, self.parameters, names, self.record))
             for recorded in frames:
-                result = _rejected(recorded, names) if recorded.reason else worker.process(recorded.frame)
+                result = (
+                    _rejected(recorded, names)
+                    if recorded.reason
+                    else worker.process(recorded.frame, with_keypoints=needs_keypoints(self.record))
+                )
                 rows.write(result)
                 poses.write(result)
                 messages.write(result, recorded.time_ns)

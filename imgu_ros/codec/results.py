@@ -6,7 +6,7 @@ for its topic: a rejected frame has no pictures, a lost target no outline.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -180,3 +180,8 @@ TARGET_OUTPUTS: Mapping[str, TargetOutput] = {
     "pose": TargetOutput("geometry_msgs/msg/PoseWithCovarianceStamped", target_pose_message),
     "odom": TargetOutput("nav_msgs/msg/Odometry", target_odometry_message),
 }
+
+
+def needs_keypoints(topics: Iterable[str]) -> bool:
+    """Return whether one of these outputs can only be made when the chain detects keypoints in every frame."""
+    return any(topic == "keypoints" or topic.startswith("pyramid/") for topic in topics)

@@ -16,6 +16,7 @@ from imgu_ros.codec.results import (
     TARGET_OUTPUTS,
     MapFrame,
     level_message,
+    needs_keypoints,
     picture_message,
     result_header,
     result_tf_message,
@@ -82,6 +83,10 @@ class Outputs:
     def wanted(self) -> bool:
         """Return whether anybody listens to any output; `publish_tf` counts as a listener."""
         return self._always or any(self._listened(topic) for topic in self._publishers)
+
+    def needs_keypoints(self) -> bool:
+        """Return whether somebody listens to keypoints or pyramid, which tracking does without."""
+        return needs_keypoints(topic for topic in self._publishers if self._listened(topic))
 
     def unmatched(self) -> int:
         """Return how many subscribers cannot be served, for their QoS does not fit."""

@@ -71,7 +71,12 @@ class PerceptionNode(LifecycleNode):
         self._worker = Worker(
             self._input.slot,
             lambda: self._server.parameters,
-            Handlers(result=self._on_result, rejected=self._on_rejected, failed=self._on_failed),
+            Handlers(
+                result=self._on_result,
+                rejected=self._on_rejected,
+                failed=self._on_failed,
+                needs_keypoints=self._needs_keypoints,
+            ),
         )
         self._diagnostics = self.create_publisher(
             message_class("diagnostic_msgs/msg/DiagnosticArray"),
@@ -209,6 +214,9 @@ class PerceptionNode(LifecycleNode):
         self._log_rejected(result.reason)
         if self._outputs is not None:
             self._outputs.publish_rejected(result)
+
+    def _needs_keypoints(self) -> bool:
+        return self._outputs is not None and self._outputs.needs_keypoints()
 
     def _on_failed(self, line: str) -> None:
         self.get_logger().error(line, throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=self._steady)

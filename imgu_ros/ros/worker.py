@@ -33,11 +33,13 @@ class Handlers:
     result : takes each frame's result, and what it was made from
     rejected : takes the result of a frame that could not be read: the reason, and nothing to see
     failed : takes a line about what went wrong with a frame or with changed parameters
+    needs_keypoints : tells whether the next result needs keypoints even when the targets are tracked without them
     """
 
     result: Callable[[Result, Job], None]
     rejected: Callable[[Result], None]
     failed: Callable[[str], None]
+    needs_keypoints: Callable[[], bool]
 
 
 class Worker:
@@ -163,7 +165,7 @@ class Worker:
             self._handlers.rejected(self._rejected_result(decode_header(job.image), str(error)))
             return
         self._rejection = ""
-        result = self._chain.process(frame)
+        result = self._chain.process(frame, with_keypoints=self._handlers.needs_keypoints())
         self._last = result
         if self._closing:
             return

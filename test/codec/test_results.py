@@ -16,7 +16,14 @@ from imgu_ros.codec.features import (
 from imgu_ros.codec.header import Header, decode_header
 from imgu_ros.codec.image import decode_image
 from imgu_ros.codec.point_cloud import point_cloud_message
-from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS, MapFrame, level_message, result_tf_message
+from imgu_ros.codec.results import (
+    FRAME_OUTPUTS,
+    TARGET_OUTPUTS,
+    MapFrame,
+    level_message,
+    needs_keypoints,
+    result_tf_message,
+)
 from imgu_ros.errors import EncodingError
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.vision.camera.rigid import RigidTransform
@@ -235,3 +242,10 @@ def test_odometry_has_the_inverse_pose(make, result):
     message = TARGET_OUTPUTS["odom"].message(make, result, result.targets[0], "poster")
     position = message.pose.pose.position
     np.testing.assert_allclose([position.x, position.y, position.z], result.targets[0].pose.inverse().t)
+
+
+def test_only_keypoints_and_pyramid_need_detection_in_every_frame() -> None:
+    assert needs_keypoints(["pose", "keypoints"])
+    assert needs_keypoints(["pyramid/level_3"])
+    assert not needs_keypoints(["pose", "matches", "homography", "image_mono"])
+    assert not needs_keypoints([])
