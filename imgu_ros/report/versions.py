@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import platform
 from importlib import metadata
+from pathlib import Path
+from xml.etree import ElementTree
 
+#: Beside the package in a source tree; elsewhere the installation knows the version.
+_MANIFEST = Path(__file__).resolve().parents[2] / "package.xml"
 #: Name in the summary -> distributions that provide it, the first installed one counts.
 _LIBRARIES = {
     "numpy": ("numpy",),
@@ -21,8 +25,8 @@ _LIBRARIES = {
 
 
 def package_version() -> str:
-    """Return the installed version of imgu_ros, or `not installed` when it runs from a source tree."""
-    return _version(("imgu_ros", "imgu-ros")) or "not installed"
+    """Return the version of imgu_ros: of the source tree that it runs from, or as installed."""
+    return _manifest_version() or _version(("imgu_ros", "imgu-ros")) or "unknown"
 
 
 def versions() -> dict[str, str]:
@@ -31,6 +35,14 @@ def versions() -> dict[str, str]:
     for name, distributions in _LIBRARIES.items():
         found[name] = _version(distributions) or "unknown"
     return found
+
+
+def _manifest_version() -> str | None:
+    try:
+        manifest = ElementTree.parse(_MANIFEST).getroot()
+    except (OSError, ElementTree.ParseError):
+        return None
+    return manifest.findtext("version") if manifest.findtext("name") == "imgu_ros" else None
 
 
 def _version(distributions: tuple[str, ...]) -> str | None:
