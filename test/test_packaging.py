@@ -67,6 +67,12 @@ def imported_roots(folder: Path) -> set[str]:
     return roots - set(sys.stdlib_module_names) - {"compression", "imgu_ros"}
 
 
+def message_packages(folder: Path) -> set[str]:
+    """Return the packages of the message types that are made or awaited by their names ("std_msgs/msg/Header")."""
+    texts = [path.read_text(encoding="utf-8") for path in folder.rglob("*.py")]
+    return {name for text in texts for name in re.findall(r'"(\w+)/msg/\w+"', text)} - {"package"}
+
+
 def pins(file: str, python: str) -> dict[str, str]:
     """Return the versions that a constraints file pins for a version of Python, by canonical name."""
     found = {}
@@ -135,8 +141,8 @@ def test_imports_are_declared(arguments: dict[str, Any], manifest: ElementTree.E
     rosdep_keys = {DISTRIBUTIONS[root][1] for root in third_party} - {""}
     assert rosdep_keys == {key for key in keys if key.startswith("python3-")}
     # What is no library from pip must be a ROS package, declared under its own name.
-    assert used - third_party <= keys
-    assert imported_roots(REPOSITORY / "launch") <= keys
+    imported = (used - third_party) | imported_roots(REPOSITORY / "launch")
+    assert imported | message_packages(PACKAGE) == keys - rosdep_keys
 
 
 @pytest.mark.parametrize("file", CONSTRAINTS)
