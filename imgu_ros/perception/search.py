@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, TooFewPoints
 from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.frame import Frame
@@ -95,6 +95,9 @@ def _located(
     ideal = matches.image_xy
     if lens is not None:
         ideal, usable = lens.ideal_pixels(matches.image_xy)
+    count = np.count_nonzero(usable)
+    if count < p.min_inliers:
+        raise TooFewPoints(f"matches: {count}; need {p.min_inliers}")
     estimate = estimate_homography(
         matches.template_xy[usable],
         ideal[usable],
