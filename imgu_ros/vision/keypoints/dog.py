@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,8 @@ from imgu_ros.vision.keypoints.opencv import corners_from_opencv
 #: Blur of SIFT's first scale, px (Lowe 2004, section 3.3).
 SIFT_SIGMA_PX = 1.6
 
+#: OpenCV doubles the picture first, aligning pixel areas, and halves the coordinates, as if centres had been aligned.
+_SHIFT_PX = 0.25
 _SURPLUS = 2
 _SIGMA_PER_SIZE = 0.5  # OpenCV's size is the diameter 2 sigma
 
@@ -30,4 +34,5 @@ def detect_dog(image: Image, max_count: int) -> Corners:
     """
     image = as_image(image, dtypes=(np.uint8,))
     found = cv2.SIFT.create(nfeatures=_SURPLUS * max_count).detect(image, None)
-    return corners_from_opencv(found, _SIGMA_PER_SIZE, with_angle=True)
+    corners = corners_from_opencv(found, _SIGMA_PER_SIZE, with_angle=True)
+    return replace(corners, xy=corners.xy - _SHIFT_PX)

@@ -15,6 +15,9 @@ WINDOW_SIGMA_PX = 1.5
 _SURPLUS = 3
 _QUALITY = 1e-4  # share of the strongest response below which a maximum is noise
 _BORDER_PX = 4
+_NEIGHBOURS_BEFORE = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], np.uint8)
+#: A peak half-way between pixels, and a little further when rounding or an oblique shape adds to it, is believed.
+_MAX_OFFSET_PX = 0.75
 
 
 def harris_response(image: Image, window_sigma: float = WINDOW_SIGMA_PX, k: float = K) -> Image:
@@ -51,7 +54,10 @@ def detect_harris(image: Image, max_count: int) -> Corners:
     b = _BORDER_PX
     if min(response.shape) <= 2 * b:
         return Corners(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
-    peak = response == cv2.dilate(response, np.ones((3, 3), np.uint8))
+    # Of equal neighbours, which symmetric corners have, the first in reading order is the peak.
+    peak = (response > cv2.dilate(response, _NEIGHBOURS_BEFORE)) & (
+        response >= cv2.dilate(response, np.ascontiguousarray(_NEIGHBOURS_BEFORE[::-1, ::-1]))
+    )
     peak &= response > max(_QUALITY * float(response.max()), 0.0)
     peak[:b] = peak[-b:] = peak[:, :b] = peak[:, -b:] = False
     rows, columns = np.nonzero(peak)
@@ -69,7 +75,7 @@ def detect_harris(image: Image, max_count: int) -> Corners:
 
 
 def _parabola_offset(response: Image, rows: np.typing.NDArray[np.intp], columns: np.typing.NDArray[np.intp]) -> Points:
-    """Return the maximum of the paraboloid through each 3x3 neighbourhood, (N, 2) x y, within half a pixel."""
+    """Return the maximum of the paraboloid through each 3x3 neighbourhood, (N, 2) x y; 0 where it has none nearby."""
     value = response.astype(np.float64)
 
     def at(dy: int, dx: int) -> Floats:
@@ -82,5 +88,5 @@ def _parabola_offset(response: Image, rows: np.typing.NDArray[np.intp], columns:
     regular = determinant > 1e-12 * (xx * xx + yy * yy)
     safe = np.where(regular, determinant, 1.0)
     offset = np.column_stack(((xy * gy - yy * gx) / safe, (xy * gx - xx * gy) / safe))
-    inside = regular & (np.abs(offset) <= 0.5).all(axis=1)
+    inside = regular & (np.abs(offset) <= _MAX_OFFSET_PX).all(axis=1)
     return np.where(inside[:, None], offset, 0.0)
