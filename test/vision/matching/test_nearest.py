@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -59,7 +60,7 @@ def check(src, dst, metric, ratio, mutual, xy=None, same_place=8.0):
         assert j in choices
         assert d == pytest.approx(best, rel=1e-6, abs=1e-6)
         quotients.append(choices[j])
-    assert all(a <= b + 1e-9 for a, b in zip(quotients, quotients[1:], strict=False))
+    assert all(a <= b + 1e-9 for a, b in itertools.pairwise(quotients))
     return got, expected
 
 
