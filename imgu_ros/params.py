@@ -322,7 +322,8 @@ def parameters_from(values: Mapping[str, object], base: Parameters | None = None
     """
     result = base or Parameters()
     for name, value in values.items():
-        result = _replaced(result, name.split("."), checked_value(name, value))
+        checked = checked_value(name, value)
+        result = _replaced(result, name.split("."), checked)
     _check_together(result)
     return result
 
