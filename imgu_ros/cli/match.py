@@ -44,7 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
     found = result.targets[0]
     print(described(result))
     if arguments.json:
-        _write_text(arguments.json, json.dumps(document(result), indent=2, allow_nan=False) + "\n")
+        from imgu_ros.files.text_files import write_text
+
+        write_text(arguments.json, json.dumps(document(result), indent=2, allow_nan=False) + "\n")
     if arguments.draw:
         from imgu_ros.files.images import write_image
         from imgu_ros.report.overlay import draw_result
@@ -186,12 +188,3 @@ def _no_pose(target: TargetResult) -> str:
         "no_size": "need --width-m",
     }
     return f"{target.pose_status.value}: {words.get(target.pose_status.value, target.reason)}"
-
-
-def _write_text(path: Path, text: str) -> None:
-    from imgu_ros.errors import FileError
-
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None

@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 
 from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.files.text_files import write_text
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_camera
 
@@ -52,10 +53,7 @@ def write_camera_info(path: Path | str, camera: Camera, name: str = "camera") ->
     FileError
         If the file cannot be written.
     """
-    try:
-        Path(path).write_text(camera_info_text(camera, name), encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+    write_text(Path(path), camera_info_text(camera, name))
 
 
 def camera_info_text(camera: Camera, name: str = "camera") -> str:

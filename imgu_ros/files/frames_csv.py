@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import FileError
+from imgu_ros.files.text_files import open_for_writing
 from imgu_ros.perception.result import Result, Stage, TargetResult
 from imgu_ros.types import Floats
 
@@ -35,10 +36,7 @@ class FramesWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            self._file = path.open("w", newline="", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+        self._file = open_for_writing(path)
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow(COLUMNS)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
+from imgu_ros.files.text_files import open_for_writing
 from imgu_ros.perception.result import PoseStatus, Result
 
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
@@ -58,10 +59,10 @@ class PoseFiles:
 
     def _open(self, path: Path) -> TextIO:
         try:
-            return self._stack.enter_context(path.open("w", newline="", encoding="utf-8"))
-        except OSError as error:
+            return self._stack.enter_context(open_for_writing(path))
+        except FileError:
             self._stack.close()
-            raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+            raise
 
 
 def seconds_text(stamp_ns: int) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import jinja2
 
-from imgu_ros.errors import FileError
+from imgu_ros.files.text_files import write_text
 from imgu_ros.params import declarations
 from imgu_ros.report import plots
 from imgu_ros.report.samples import Sample
@@ -62,10 +62,7 @@ def write_report(path: Path, table: FrameTable, summary: Summary, samples: Seque
         samples=[_sample_picture(sample, table) for sample in samples],
         changed={name: value for name, value in summary.parameters.items() if value != defaults.get(name)},
     )
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+    write_text(path, page)
 
 
 def figures(value: float | Percentiles | None, digits: int = 3) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imgu_ros.errors import FileError
+from imgu_ros.files.text_files import write_text
 from imgu_ros.params import ParameterValue
 from imgu_ros.perception.result import PoseStatus, Stage, Status
 from imgu_ros.report.table import FrameTable
@@ -110,10 +110,7 @@ def write_summary(path: Path, summary: Summary) -> None:
         If the file cannot be written.
     """
     text = json.dumps(dataclasses.asdict(summary), indent=2, allow_nan=False) + "\n"
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+    write_text(path, text)
 
 
 def target_summaries(table: FrameTable) -> tuple[TargetSummary, ...]:

@@ -19,6 +19,7 @@ from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.images import write_image
+from imgu_ros.files.text_files import write_text
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import Truth, write_truth
@@ -184,7 +185,4 @@ def _write_side_files(out: Path, targets: Sequence[TargetImage], sensor: Sensor 
     if raw:
         values["raw"] = raw
     text = yaml.safe_dump({"/**": {"ros__parameters": values}}, sort_keys=False, allow_unicode=True)
-    try:
-        (out / PARAMETER_FILE).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{out / PARAMETER_FILE}: {error.strerror}; need a folder that can be written") from None
+    write_text(out / PARAMETER_FILE, text)

@@ -58,7 +58,7 @@ def write_truth(path: Path, truths: Iterable[Truth]) -> None:
                 pose = [""] * 7 if truth.pose is None else [repr(float(x)) for x in truth.pose.numbers()]
                 writer.writerow([truth.stamp_ns, truth.target, *numbers, *pose])
     except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a writable file") from None
+        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
 
 
 def read_truth(path: Path) -> tuple[Truth, ...]:

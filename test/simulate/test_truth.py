@@ -141,5 +141,5 @@ def test_bad_truth_files_are_refused(tmp_path: Path, content: bytes, message: st
 def test_missing_truth_file_and_unwritable_place_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="need a readable truth file"):
         read_truth(tmp_path / "none.csv")
-    with pytest.raises(FileError, match="need a writable file"):
+    with pytest.raises(FileError, match="need a file that can be written"):
         write_truth(tmp_path / "no" / "truth.csv", [])
