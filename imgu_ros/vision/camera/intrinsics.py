@@ -81,11 +81,13 @@ class Camera:
         """As `project`, and the derivative of each pixel by its point, (N, 2, 3)."""
         points = as_rows(points, 3, "points")
         xy = _normalized(points)
-        bent, d_bent = _bend(self.model, self.distortion, xy)
         z = points[:, 2]
         d_xy = np.zeros((len(points), 2, 3))
         d_xy[:, 0, 0] = d_xy[:, 1, 1] = 1 / z
         d_xy[:, :, 2] = -xy / z[:, None]
+        if not self.is_distorted:
+            return xy @ self.K[:2, :2].T + self.K[:2, 2], self.K[:2, :2] @ d_xy
+        bent, d_bent = _bend(self.model, self.distortion, xy)
         return bent @ self.K[:2, :2].T + self.K[:2, 2], self.K[:2, :2] @ d_bent @ d_xy
 
     def distort(self, normalized: ArrayLike) -> Points:

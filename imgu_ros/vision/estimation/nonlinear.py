@@ -38,11 +38,11 @@ class Linearisation:
 class LeastSquaresProblem(Protocol):
     """What a minimiser needs to know of a problem; the estimate is an array of any shape."""
 
-    def residuals(self, estimate: Floats) -> Floats:
-        """Return the residuals, (N, D)."""
-
     def linearise(self, estimate: Floats) -> Linearisation:
-        """Return residuals and their derivative by a step of P parameters."""
+        """Return residuals and their derivative by a step of P parameters.
+
+        May raise an EstimationError where the residuals are not defined; such a step is not taken.
+        """
 
     def step(self, estimate: Floats, delta: Floats) -> Floats:
         """Return the estimate moved by the step `delta`, (P,)."""
@@ -120,7 +120,9 @@ def minimise(
             delta = _solved(normal, gradient, damping)
             moved = problem.step(estimate, delta)
             try:
-                new_weights, new_cost = _weighted(problem.residuals(moved), loss)
+                # Most steps are accepted: their derivative will be needed, and comes at little more than the residuals.
+                trial = problem.linearise(moved)
+                new_weights, new_cost = _weighted(trial.residuals, loss)
             except EstimationError:
                 if not damped:
                     raise
@@ -129,14 +131,13 @@ def minimise(
             small = float(delta @ normal @ delta) <= tolerance**2
             if accepted:
                 converged = small or abs(cost - new_cost) <= tolerance * cost
-                estimate, weights, cost = moved, new_weights, new_cost
+                estimate, current, weights, cost = moved, trial, new_weights, new_cost
                 damping = max(damping / 10, 1e-12) if damped else 0.0
             elif small or damping > 1e12:
                 converged = True
                 break
             else:
                 damping *= 10
-        current = problem.linearise(estimate)
     return Minimum(estimate, current, weights, iterations, converged)
 
 

@@ -16,7 +16,6 @@ from imgu_ros.errors import EstimationError, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Indices, Mask
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
 
-_BATCH = 64
 _LOCAL_STEPS = 4
 
 
@@ -99,7 +98,7 @@ def ransac(
     best_cost = math.inf
     needed = max_iterations
     drawn = 0
-    for samples in draw_samples(sampler, model.count, model.sample_size, rng, _BATCH):
+    for samples in draw_samples(sampler, model.count, model.sample_size, rng):
         samples = samples[: max_iterations - drawn]
         drawn += len(samples)
         hypotheses = model.generate(samples)

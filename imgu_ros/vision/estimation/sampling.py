@@ -19,10 +19,13 @@ class Sampler(StrEnum):
     PROSAC = "prosac"
 
 
-def draw_samples(
-    sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator, batch: int
-) -> Iterator[Indices]:
-    """Draw samples of different points without end, a batch at a time.
+#: Samples in the first batch and in the largest: an easy problem should not pay for a hard one's batches.
+FIRST_BATCH = 16
+LARGEST_BATCH = 128
+
+
+def draw_samples(sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator) -> Iterator[Indices]:
+    """Draw samples of different points without end, in batches that double from FIRST_BATCH to LARGEST_BATCH.
 
     Parameters
     ----------
@@ -31,7 +34,6 @@ def draw_samples(
     count : number of points N
     sample_size : points in a sample m
     rng : source of the draws
-    batch : samples in a batch B
 
     Yields
     ------
@@ -45,16 +47,23 @@ def draw_samples(
     if count < sample_size:
         raise TooFewPoints(f"points: {count}; need at least {sample_size}")
     if Sampler(sampler) is Sampler.UNIFORM:
-        return _uniform(count, sample_size, rng, batch)
-    return _prosac(count, sample_size, rng, batch)
+        return _uniform(count, sample_size, rng)
+    return _prosac(count, sample_size, rng)
 
 
-def _uniform(count: int, size: int, rng: np.random.Generator, batch: int) -> Iterator[Indices]:
+def _batches() -> Iterator[int]:
+    size = FIRST_BATCH
     while True:
+        yield size
+        size = min(2 * size, LARGEST_BATCH)
+
+
+def _uniform(count: int, size: int, rng: np.random.Generator) -> Iterator[Indices]:
+    for batch in _batches():
         yield _distinct(np.full(batch, count), size, rng)
 
 
-def _prosac(count: int, size: int, rng: np.random.Generator, batch: int, horizon: int = 200_000) -> Iterator[Indices]:
+def _prosac(count: int, size: int, rng: np.random.Generator, horizon: int = 200_000) -> Iterator[Indices]:
     # T_n: expected number of the `horizon` uniform samples that come from the best n points only;
     # growth[n]: the number of draws after which the set grows beyond n.
     expected = float(horizon)
@@ -63,7 +72,7 @@ def _prosac(count: int, size: int, rng: np.random.Generator, batch: int, horizon
     grown = 1
     n = size
     drawn = 0
-    while True:
+    for batch in _batches():
         pools = np.empty(batch, np.intp)
         newest = np.zeros(batch, bool)
         for b in range(batch):
