@@ -5,10 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.descriptors.described import Described
 from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.opencv import opencv_keypoints, require_describable
+
+_SMALLEST_SCALE_PX = 0.5
+_SMALLEST_DIAGONAL_PX = 5.0
 
 
 def describe_sift(image: Image, corners: Corners) -> Described:
@@ -17,11 +21,19 @@ def describe_sift(image: Image, corners: Corners) -> Described:
     Parameters
     ----------
     image : (H, W) uint8
-    corners : with scale (the histograms are 3 sigma wide) and angle
+    corners : with scale (the histograms are 3 sigma wide; at least 0.5 px) and angle
+
+    Raises
+    ------
+    ShapeError
+        If a corner's scale is below half a pixel. On a picture too small for any window nothing is described.
     """
     image = as_image(image, dtypes=(np.uint8,))
     require_describable(corners)
-    if not len(corners.xy):
+    # OpenCV 4.6 writes outside its memory where the window's radius, 10.6 sigma or the diagonal, is below 5 px.
+    if len(corners.xy) and corners.scale.min() < _SMALLEST_SCALE_PX:
+        raise ShapeError(f"corners.scale: {corners.scale.min():g}; need at least {_SMALLEST_SCALE_PX} px for SIFT")
+    if not len(corners.xy) or np.hypot(*image.shape) < _SMALLEST_DIAGONAL_PX:
         return Described(np.zeros(0, np.intp), np.zeros((0, 128), np.float32))
     keypoints = opencv_keypoints(corners.xy, 2 * corners.scale, corners.angle, corners.response)
     found, descriptors = cv2.SIFT.create().compute(image, keypoints)

@@ -180,6 +180,14 @@ def test_flat_and_tiny_pictures(kind):
         assert np.isfinite(got.descriptors.astype(float)).all()
 
 
+@pytest.mark.parametrize("describing", [describe_sift, describe_rootsift])
+def test_sift_windows_too_small_for_opencv_are_refused(describing):
+    picture, at = texture(40, 40, 1), np.array([[20.0, 20.0]])
+    assert len(describing(picture, Corners(at, np.array([0.5]), np.zeros(1), np.ones(1))).index) == 1
+    with pytest.raises(ShapeError, match=r"need at least 0.5 px"):
+        describing(picture, Corners(at, np.array([0.1]), np.zeros(1), np.ones(1)))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_read_only_views(kind):
     wide = texture(90, 180, 7)
