@@ -11,13 +11,15 @@ import numpy as np
 from imgu_ros.errors import NoConsensus
 from imgu_ros.params import RefinementParameters
 from imgu_ros.perception.targets import AlignmentLevel, Target
-from imgu_ros.types import Floats, Image, Matrix3, Points
+from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.estimation.covariance import window_correlation
+from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.projective.dlt import homography_dlt
-from imgu_ros.vision.projective.estimate import estimate_homography, fit_homography
+from imgu_ros.vision.projective.estimate import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.minimal import HomographyModel
 from imgu_ros.vision.projective.refine import HomographyError
 from imgu_ros.vision.projective.transform import local_jacobian, transform
 
@@ -34,7 +36,7 @@ _MARGIN_PX = 32
 _COARSE_SIDE_PX = 400
 #: Brightness is measured on every third pixel of every third row.
 _SAMPLED = 3
-_TRIMMINGS = 4
+_TRIMMINGS = 2
 _OUTLIER_SIGMAS = 3.6
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 _FLOOR_PX = 0.02
@@ -90,20 +92,21 @@ def refine_by_alignment(
     """
     # The first alignment only has to bring the second one near: a large view is looked at in a reduced picture.
     coarse = _follow(grey, target, H, camera, parameters, min_points, first_levels, _COARSE_SIDE_PX)
-    consensus = estimate_homography(
-        coarse.template_xy,
-        coarse.ideal_xy,
+    if len(coarse.template_xy) < min_points:
+        raise NoConsensus(f"patches: {len(coarse.template_xy)} followed; need {min_points}")
+    model = HomographyModel(coarse.template_xy, coarse.ideal_xy)
+    consensus = ransac(
+        model,
+        _CONSENSUS_PX,
         rng,
-        threshold_px=_CONSENSUS_PX,
         confidence=0.999,
         max_iterations=256,
         min_inliers=max(min_points, math.ceil(_MIN_SHARE * coarse.sought)),
-        error=HomographyError.TRANSFER,
-        refine=None,
     )
+    H = model.denormalised(consensus.hypothesis)
     # Drawn once more where it truly is, no patch is turned or stretched against the frame any longer.
-    fine = _follow(grey, target, consensus.H, camera, parameters, min_points, 0, None)
-    return _trimmed(fine, consensus.H, min_points, parameters.window_px)
+    fine = _follow(grey, target, H, camera, parameters, min_points, 0, None)
+    return _trimmed(fine, H, min_points, parameters.window_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,18 +211,21 @@ def _trimmed(followed: _Followed, H: Matrix3, min_points: int, window_px: int) -
     template_xy, ideal = followed.template_xy, followed.ideal_xy
     kept = np.hypot(*(transform(H, template_xy) - ideal).T) <= _CONSENSUS_PX
     for _ in range(_TRIMMINGS):
-        if np.count_nonzero(kept) < min_points:
-            raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
+        _require(kept, min_points)
         H = fit_homography(template_xy[kept], ideal[kept], error=HomographyError.TRANSFER, start=H).H
         distance = np.hypot(*(transform(H, template_xy) - ideal).T)
         sigma = float(np.median(distance[kept])) / _RAYLEIGH_MEDIAN
-        previous, kept = kept, distance <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX)
-        if np.array_equal(previous, kept):
-            break
-    template_xy, image_xy, ideal = template_xy[previous], followed.image_xy[previous], ideal[previous]
+        kept = distance <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX)
+    _require(kept, min_points)
+    template_xy, image_xy, ideal = template_xy[kept], followed.image_xy[kept], ideal[kept]
     correlation = window_correlation(image_xy, window_px)
     fit = fit_homography(template_xy, ideal, error=HomographyError.TRANSFER, start=H, correlation=correlation)
     return Alignment(template_xy, image_xy, fit, correlation, followed.sought)
+
+
+def _require(kept: Mask, min_points: int) -> None:
+    if np.count_nonzero(kept) < min_points:
+        raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
 
 
 def _fitting_level(target: Target, H: Matrix3, step: int) -> AlignmentLevel:
