@@ -81,7 +81,10 @@ def _jpeg(picture: Image) -> bytes:
     longest = max(picture.shape[:2])
     if longest > _LONGEST_SIDE:
         scale = _LONGEST_SIDE / longest
-        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        height, width = picture.shape[:2]
+        # A line camera's picture must not shrink to nothing.
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     done, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     if not done:
         raise FileError(f"sample frame: {picture.shape} cannot be encoded as JPEG; need a picture")

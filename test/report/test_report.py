@@ -193,3 +193,11 @@ def test_not_a_frames_csv(tmp_path: Path) -> None:
         read_frame_table(tmp_path / "frames.csv")
     with pytest.raises(FileError, match="need a frames.csv"):
         read_frame_table(tmp_path / "gone.csv")
+
+
+def test_samples_of_line_cameras(make_result: MakeResult) -> None:
+    for size in [(4000, 2), (2, 4000)]:
+        samples = Samples()
+        samples.offer(0, make_result(0, size=size, status=Status.LOST))
+        picture = cv2.imdecode(np.frombuffer(samples.chosen()[0].jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert max(picture.shape[:2]) == 960
