@@ -139,11 +139,12 @@ def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
         ) from None
     starts = []
     for rvec, tvec in zip(rotations[:count], translations[:count], strict=True):
+        if not (np.isfinite(rvec).all() and np.isfinite(tvec).all()):
+            continue
         start = np.eye(4)
         start[:3, :3] = exp_so3(np.asarray(rvec, np.float64).ravel())
         start[:3, 3] = np.asarray(tvec, np.float64).ravel()
-        if np.isfinite(start).all():
-            starts.append(start)
+        starts.append(start)
     return starts
 
 

@@ -1,5 +1,7 @@
 """Planar poses: exact, ambiguous, degenerate, with an honest covariance."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -88,6 +90,10 @@ def test_degenerate_input() -> None:
         planar_poses(grid()[:3], seen(grid()[:3], R, t, PINHOLE), PINHOLE)
     with pytest.raises(DegenerateConfiguration, match="pixels"):
         planar_poses(grid(), np.full((81, 2), 300.0), PINHOLE)
+    absurd = make_camera([[900.0, 0, 1e12], [0, 900.0, 350.0], [0, 0, 1]], (), "plumb_bob", 1280, 720)
+    for turn in range(0, 360, 15):
+        with contextlib.suppress(EstimationError):  # OpenCV's start can be NaN
+            planar_poses(grid(), seen(grid(), *view(30, 0.6, turn), PINHOLE), absurd)
 
 
 @pytest.mark.parametrize("seed", range(20))
