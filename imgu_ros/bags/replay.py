@@ -83,6 +83,7 @@ def replay(
     targets = prepare_targets(load_target_images(parameters.targets), parameters)
     warnings = _Warnings(on_warning)
     with open_bag(bags) as bag:
+        warnings.add(bag.warnings)
         source = FrameSource(bag, parameters)
         warnings.add(bag.warnings, source.warnings)
         frames = source.frames()

@@ -60,7 +60,7 @@ def splits(folder: Path, warnings: Warnings) -> tuple[Split, ...]:
     if announced is None:
         if not present:
             raise BagError(
-                f"{folder}: no bag in this folder; need {METADATA}, .mcap or .db3 files (name a .bag itself)"
+                f"{folder}: no bag in this folder; need .mcap or .db3 files, and their {METADATA} (name a .bag itself)"
             )
         return tuple(Split(path, -1) for path in present)
     found = {name: _located(folder, name) for name in announced.files}

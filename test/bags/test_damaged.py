@@ -235,6 +235,8 @@ def test_a_damaged_chunk_of_a_ros1_bag_costs_itself_alone(tmp_path, write_rosbag
 
 def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
     (tmp_path / "folder").mkdir()
+    (tmp_path / "metadata_only").mkdir()
+    (tmp_path / "metadata_only" / "metadata.yaml").write_text("a: [")
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "empty.db3").touch()
     (tmp_path / "random.bag").write_bytes(os.urandom(5000))
@@ -245,6 +247,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
         "nothing": "No such file",
         "pipe": "not a regular file",
         "folder": "no bag in this folder",
+        "metadata_only": "need .mcap or .db3 files",
         "empty.mcap": "empty file",
         "empty.db3": "empty file",
         "random.bag": "not a bag",

@@ -329,3 +329,12 @@ def test_empty_image_topic(parameters: Parameters, tmp_path: Path) -> None:
         writer.write("/chatter", make_message("std_msgs/msg/String", data="hello"), 1)
     with pytest.raises(BagError, match="no image topic"):
         replay([tmp_path / "bag"], tmp_path / "out", parameters)
+
+
+def test_damage_is_said_even_when_nothing_is_left(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    content = next(bag.glob("*.mcap")).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[:20])
+    said: list[str] = []
+    with pytest.raises(BagError, match="no image topic"):
+        replay([tmp_path / "cut.mcap"], tmp_path / "out", parameters, on_warning=said.append)
+    assert any("cut.mcap" in text for text in said)
