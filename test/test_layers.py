@@ -44,7 +44,7 @@ LAYERS = {
     "perception": {"errors", "types", "params", "vision", "perception"},
     "codec": {"errors", "types", "params", "vision", "perception", "codec"},
     "files": {"errors", "types", "params", "vision", "perception", "files"},
-    "simulate": {"errors", "types", "params", "vision", "perception", "codec", "files", "bags", "simulate"},
+    "simulate": {"errors", "types", "params", "vision", "perception", "files", "simulate"},
     "report": {"errors", "types", "params", "vision", "perception", "files", "simulate", "report"},
 }
 

@@ -31,11 +31,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"--frames: {arguments.frames}; need at least 1")
     # What the user sets is checked before minutes are spent on the simulation.
     parameters_of(arguments)
+    from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
     from imgu_ros.bags.replay import replay
     from imgu_ros.cli.progress import Progress
     from imgu_ros.cli.replay import accuracy_table
     from imgu_ros.files.parameter_files import read_parameter_file
-    from imgu_ros.simulate.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
     from imgu_ros.simulate.sequence import Simulation
 
     _claim(arguments.out)

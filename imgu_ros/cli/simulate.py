@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from imgu_ros.bags.recording import BagFormat
     from imgu_ros.perception.targets import TargetImage
-    from imgu_ros.simulate.recording import BagFormat
     from imgu_ros.simulate.sequence import Simulation
     from imgu_ros.vision.camera.intrinsics import Camera
 
@@ -72,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, and say what to do with the result."""
+    from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
     from imgu_ros.cli.progress import Progress
-    from imgu_ros.simulate.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
 
     bag_format = _format(arguments)
     simulation = _simulation(arguments, bag_format)
@@ -93,8 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _format(arguments: argparse.Namespace) -> BagFormat:
     """Reconcile --pattern, --bits and --encoding."""
+    from imgu_ros.bags.recording import BagFormat
     from imgu_ros.errors import ParameterError
-    from imgu_ros.simulate.recording import BagFormat
     from imgu_ros.vision.formation.cfa import BayerPattern
 
     if arguments.pattern is not None and arguments.pattern not in list(BayerPattern):
@@ -108,9 +108,9 @@ def _format(arguments: argparse.Namespace) -> BagFormat:
 
 
 def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulation:
+    from imgu_ros.bags.recording import simulated_encoding
     from imgu_ros.errors import ParameterError
     from imgu_ros.simulate.path import Motion
-    from imgu_ros.simulate.recording import simulated_encoding
     from imgu_ros.simulate.sequence import Simulation, check_simulation
     from imgu_ros.vision.formation.sensor import Sensor
 

@@ -12,6 +12,7 @@ import pytest
 
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.recording import record_simulation
 from imgu_ros.bags.replay import replay
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.errors import BagError, FileError, ParameterError
@@ -20,7 +21,6 @@ from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.params import Parameters, parameters_from
 from imgu_ros.perception.result import Stage
 from imgu_ros.perception.targets import TargetImage
-from imgu_ros.simulate.recording import record_simulation
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import corner_error, read_truth
