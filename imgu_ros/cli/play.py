@@ -6,10 +6,14 @@ Headers are left as they were recorded. ROS arguments (remaps, QoS overrides) fo
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
 HELP = "publish a bag on live topics"
+
+#: Seconds, and times the recorded speed.
+_MOST = 1e9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,21 +62,31 @@ def _say(line: str) -> None:
 
 
 def _positive(text: str) -> float:
-    value = _not_negative(text)
-    if value == 0:
-        raise argparse.ArgumentTypeError(f"{text}: need more than 0")
+    value = _number(text)
+    if not 0 < value <= _MOST:
+        raise argparse.ArgumentTypeError(f"{text!r}; need a number more than 0 and at most {_MOST:g}")
     return value
 
 
 def _not_negative(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text}: need 0 or more")
+    value = _number(text)
+    if not 0 <= value <= _MOST:
+        raise argparse.ArgumentTypeError(f"{text!r}; need a number from 0 to {_MOST:g}")
     return value
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def _count(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
     if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: need 0 or more")
+        raise argparse.ArgumentTypeError(f"{text!r}; need a whole number, 0 or more")
     return value

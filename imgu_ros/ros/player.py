@@ -123,7 +123,7 @@ class _Player:
             self._publish_all()
         self._finish()
         for warning in self._bag.warnings:
-            self._say(f"warning: {warning}")
+            self._say(f"imgu: warning: {warning}")
         late = np.percentile(self._late_s, (99, 100)) * 1e3 if self._late_s else (0.0, 0.0)
         return PlayReport(
             published=self._published,

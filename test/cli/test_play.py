@@ -23,6 +23,14 @@ def test_wrong_usage_is_2(capsys, arguments):
     assert "usage: imgu play" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "value"), [("--rate", "fast"), ("--rate", "1e12"), ("--start", "-1"), ("--wait-for", "1.5")]
+)
+def test_wrong_numbers_are_told_what_is_needed(capsys, option, value):
+    assert main(["play", "bag", option, value]) == 2
+    assert f"argument {option}: '{value}'; need a" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("content", [None, b"", b"random bytes, no bag at all"])
 def test_what_is_no_bag_is_one_line_and_1(capsys, tmp_path, content, ros_domain):
     pytest.importorskip("rclpy", reason="needs the ros extra")
