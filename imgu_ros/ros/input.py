@@ -160,7 +160,12 @@ class ImageInput:
             return f"only {', '.join(sorted(types))} on {topic}; need {self.topics.image_type}"
         if self._image.get_publisher_count() == 0 and self.counters.incompatible:
             return f"only publishers with incompatible QoS on {topic} ({', '.join(self.counters.policies)})"
-        return f"no images on {topic} for {silent_s:.0f} s" if silent_s >= _SILENCE_S else ""
+        if silent_s < _SILENCE_S:
+            return ""
+        lost = self.counters.lost
+        # Frames far too large for the shared memory never arrive, so nothing else would tell their size.
+        why = f": {lost} lost on the way; large ones need the DDS profile in every process" if lost else ""
+        return f"no images on {topic} for {silent_s:.0f} s{why}"
 
     def _on_image(self, message: Any) -> None:
         now = time.monotonic()

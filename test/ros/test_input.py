@@ -112,6 +112,8 @@ def test_why_no_image_comes(make_node):
     while source.why_silent() == "no publisher on /image_raw" and time.monotonic() < end:
         time.sleep(0.02)
     assert source.why_silent() == "no images on /image_raw for 10 s"
+    source.counters._lost = 3
+    assert source.why_silent().startswith("no images on /image_raw for 10 s: 3 lost on the way; ")
     driver.destroy_publisher(publisher)
 
 
