@@ -54,7 +54,8 @@ def camera_from_scene_at(
         If the motion is not one that keeps the scene in front of the camera.
     """
     if not (motion.zoom >= 1 and 0 <= motion.tilt_rad < math.pi / 2 and motion.fill > 0):
-        raise ShapeError(f"motion: {motion}; need zoom >= 1, 0 <= tilt_rad < pi / 2, fill > 0")
+        got = f"zoom {motion.zoom:g}, tilt {math.degrees(motion.tilt_rad):g} deg, fill {motion.fill:g}"
+        raise ShapeError(f"motion: {got}; need zoom >= 1, tilt from 0 to below 90 deg, fill > 0")
     rng = np.random.default_rng([seed, 0xCA3E])
     tilt0, azimuth0, distance0, drift_x0, drift_y0, roll0 = rng.uniform(0, 2 * math.pi, 6)
     turn = 2 * math.pi * progress
