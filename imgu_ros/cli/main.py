@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import difflib
+import errno
 import importlib
 import os
 import sys
@@ -45,6 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     141 when the reader of the output went away (as if by SIGPIPE)
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    # What OpenCV warns of (a cut PNG) becomes an error that says more. It reads this when it is imported.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     try:
         code = _run(arguments)
         sys.stdout.flush()
@@ -63,6 +66,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return _failed(f'{error.name or "rclpy"}: cannot be imported; need the ros extra: pip install "imgu_ros[ros]"')
     except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            # A write that fails does not know its file's name. What stdout still holds would fail again at exit.
+            _flush_or_discard_stdout()
+            return _failed(f"output: {error.strerror}; need room for what is written")
         if error.filename is None:
             raise
         return _failed(f"{os.fsdecode(error.filename)}: {error.strerror}")
@@ -134,6 +141,13 @@ def _is_of_ros(error: ImportError) -> bool:
     module = (error.name or "").partition(".")[0]
     # Without the extra's middleware rclpy is there, but the import fails on its library.
     return module in ROS_MODULES or "rmw" in str(error) or "rclpy" in str(error)
+
+
+def _flush_or_discard_stdout() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _discard_stdout()
 
 
 def _discard_stdout() -> None:

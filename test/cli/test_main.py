@@ -4,8 +4,11 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
+import numpy as np
 import pytest
 
 from imgu_ros.cli import main as main_module
@@ -126,3 +129,27 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
             timeout=60,
         )
     assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_opencv_does_not_speak_beside_the_error(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64), np.uint8)
+    (tmp_path / "cut.png").write_bytes(cv2.imencode(".png", noise)[1].tobytes()[:2000])
+    command = [sys.executable, "-m", "imgu_ros.cli.main", "match", str(tmp_path / "cut.png"), str(tmp_path / "cut.png")]
+    environment = {name: value for name, value in os.environ.items() if name != "OPENCV_LOG_LEVEL"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=environment)
+    assert done.returncode == 1
+    # OpenCV 4 hands libpng's own line through.
+    said = [line for line in done.stderr.splitlines() if not line.startswith("libpng")]
+    assert len(said) == 1
+    assert said[0].startswith("imgu: error: ")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "imgu_ros.cli.main", "params"],
+            stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "imgu: error: output: No space left on device; need room for what is written\n"
