@@ -181,7 +181,9 @@ class _Player:
                     )
                 return
             if wanted and now >= remind:
-                self._say(f"waiting for subscribers on {', '.join(images)}: {self._matched(images)} of {wanted}")
+                have = f"{self._matched(images)} of {wanted}"
+                hint = " (`imgu node` subscribes once somebody listens to what it publishes)"
+                self._say(f"waiting for subscribers on {', '.join(images)}: {have}{hint}")
                 remind = now + _REMIND_S
             self._sleep(_POLL_S)
         # Who subscribes to images mostly wants their camera_info from the first one on.
