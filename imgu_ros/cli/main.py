@@ -64,7 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImportError as error:
         if not _is_of_ros(error):
             raise
-        return _failed(f'{error.name or "rclpy"}: cannot be imported; need the ros extra: pip install "imgu_ros[ros]"')
+        need = """the ros extra: pip install ".[ros]" in imgu_ros's source folder"""
+        return _failed(f"{error.name or 'rclpy'}: cannot be imported; need {need}")
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             # A write that fails does not know its file's name. What stdout still holds would fail again at exit.

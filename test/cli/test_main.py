@@ -102,7 +102,7 @@ def test_without_the_ros_extra(command, error: ImportError, capsys: pytest.Captu
     assert main(["fake"]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert 'pip install "imgu_ros[ros]"' in err
+    assert 'pip install ".[ros]"' in err
 
 
 def test_a_bug_keeps_its_traceback(command) -> None:

@@ -70,5 +70,5 @@ def test_without_the_ros_extra_one_line_says_how_to_get_it(capsys, monkeypatch, 
         monkeypatch.setitem(sys.modules, name, None)
     assert main(command) == 1
     captured = capsys.readouterr()
-    assert 'pip install "imgu_ros[ros]"' in captured.err
+    assert 'pip install ".[ros]"' in captured.err
     assert captured.err.count("\n") == 1
