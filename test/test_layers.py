@@ -43,7 +43,7 @@ LAYERS = {
     "vision": {"errors", "types", "vision"},
     "perception": {"errors", "types", "params", "vision", "perception"},
     "codec": {"errors", "types", "params", "vision", "perception", "codec"},
-    "files": {"errors", "types", "params", "vision", "perception", "files"},
+    "files": {"errors", "types", "params", "vision", "perception", "codec", "files"},
     "simulate": {"errors", "types", "params", "vision", "perception", "files", "simulate"},
     "report": {"errors", "types", "params", "vision", "perception", "files", "simulate", "report"},
 }

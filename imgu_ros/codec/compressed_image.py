@@ -33,7 +33,10 @@ def decode_compressed_image(message: Any) -> RawImage:
         If the data are neither JPEG nor PNG, cut, damaged, of more than 2**28 pixels, or do not fit the format.
     """
     data = data_bytes(message)
-    check_picture_file(data)
+    try:
+        check_picture_file(data)
+    except EncodingError as error:
+        raise EncodingError(f"compressed image: {error}") from None
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

@@ -41,12 +41,10 @@ def check_picture_file(data: NDArray[np.uint8]) -> FileKind:
         if content.startswith(magic):
             width, height = _CHECKS[kind](content)
             if width == 0 or height == 0 or width * height > MAX_PIXELS:
-                raise EncodingError(f"compressed image: {width} x {height} px; need 1 to {MAX_PIXELS} pixels")
+                raise EncodingError(f"{width} x {height} px; need 1 to {MAX_PIXELS} pixels")
             return kind
     start = content[:8].hex(" ") or "nothing"
-    raise EncodingError(
-        f"compressed image: {len(content)} bytes that begin with {start}; need JPEG (ff d8 ff) or PNG (89 50 4e 47)"
-    )
+    raise EncodingError(f"{len(content)} bytes that begin with {start}; need JPEG (ff d8 ff) or PNG (89 50 4e 47)")
 
 
 class _Size(NamedTuple):
@@ -59,6 +57,11 @@ _NEXT_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 _START_OF_SCAN, _END = 0xDA, 0xD9
 #: Start of frame, any process; c4, c8 and cc in the same range mean other things (ITU-T T.81, table B.1).
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+def is_picture_file(data: NDArray[np.uint8]) -> bool:
+    """Return whether the bytes begin as a JPEG or PNG file does."""
+    return data[:8].tobytes().startswith(tuple(_MAGIC.values()))
 
 
 def _check_jpeg(content: bytes) -> _Size:
@@ -77,7 +80,7 @@ def _check_jpeg(content: bytes) -> _Size:
         marker, length = head[1], int.from_bytes(head[2:4], "big")
         segment = content[position + 4 : position + 2 + length]
         if head[0] != 0xFF or length < 2:
-            raise EncodingError(f"compressed image: no JPEG marker at byte {position}; need an undamaged file")
+            raise EncodingError(f"no JPEG marker at byte {position}; need an undamaged file")
         if len(segment) < length - 2:
             raise _cut(FileKind.JPEG, content)
         if marker in _FRAMES and length >= 7:
@@ -89,7 +92,7 @@ def _check_jpeg(content: bytes) -> _Size:
                 raise _cut(FileKind.JPEG, content)
             position = following.start()
     if size is None:
-        raise EncodingError("compressed image: a JPEG without a frame header; need an undamaged file")
+        raise EncodingError("a JPEG without a frame header; need an undamaged file")
     return size
 
 
@@ -105,12 +108,10 @@ def _check_png(content: bytes) -> _Size:
         if len(content) < end + 4:
             raise _cut(FileKind.PNG, content)
         if zlib.crc32(memoryview(content)[position + 4 : end]) != int.from_bytes(content[end : end + 4], "big"):
-            raise EncodingError(
-                f"compressed image: wrong checksum in PNG chunk {name!r} at byte {position}; need an undamaged file"
-            )
+            raise EncodingError(f"wrong checksum in PNG chunk {name!r} at byte {position}; need an undamaged file")
         if size is None:
             if name != b"IHDR" or length < 8:
-                raise EncodingError(f"compressed image: PNG begins with chunk {name!r}; need IHDR")
+                raise EncodingError(f"PNG begins with chunk {name!r}; need IHDR")
             size = _Size(*struct.unpack_from(">II", content, position + 8))
         if name == b"IEND":
             return size
@@ -118,7 +119,7 @@ def _check_png(content: bytes) -> _Size:
 
 
 def _cut(kind: FileKind, content: bytes) -> EncodingError:
-    return EncodingError(f"compressed image: {kind.upper()} cut after {len(content)} bytes; need the whole file")
+    return EncodingError(f"{kind.upper()} cut after {len(content)} bytes; need the whole file")
 
 
 _MAGIC = {FileKind.JPEG: b"\xff\xd8\xff", FileKind.PNG: b"\x89PNG\r\n\x1a\n"}

@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.codec.picture_files import check_picture_file, is_picture_file
+from imgu_ros.errors import EncodingError, FileError, ShapeError
 from imgu_ros.types import Image, as_image
 
 #: What each kind of file can hold: (number of channels, data types).
@@ -47,11 +48,16 @@ def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
     Raises
     ------
     FileError
-        If the file is missing, empty, no image, or of another depth.
+        If the file is missing, empty, no image, cut, damaged, or of another depth.
     """
     path = Path(path)
     # Not cv2.imread: it says nothing about why it fails.
     encoded = np.frombuffer(_content(path), np.uint8)
+    if is_picture_file(encoded):
+        try:
+            check_picture_file(encoded)
+        except EncodingError as error:
+            raise FileError(f"{path}: {error}") from None
     flags = cv2.IMREAD_UNCHANGED if keep_alpha else cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     try:
         pixels: Image | None = cv2.imdecode(encoded, flags)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -194,3 +196,14 @@ def test_the_nikon_raws(data_dir):
     raw = read_raw_image(path, 768, 512, "uint16")
     assert 400 < raw.min() < 1000
     assert 4000 < raw.max() <= 16383
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_a_cut_picture_is_refused_whatever_the_decoder_says(tmp_path: Path, suffix: str, share: float) -> None:
+    """OpenCV 4.6 fills what is missing of a JPEG with grey, and says nothing."""
+    whole = cv2.imencode(suffix, np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8))[1]
+    path = tmp_path / f"cut{suffix}"
+    path.write_bytes(whole[: int(share * len(whole))].tobytes())
+    with pytest.raises(FileError, match=f"cut{suffix}: .* cut after"):
+        read_image(path)
