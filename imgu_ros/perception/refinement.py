@@ -102,6 +102,7 @@ def refine_by_alignment(
         confidence=0.999,
         max_iterations=256,
         min_inliers=max(min_points, math.ceil(_MIN_SHARE * coarse.sought)),
+        unit=" px",
     )
     H = model.denormalised(consensus.hypothesis)
     # Drawn once more where it truly is, no patch is turned or stretched against the frame any longer.

@@ -65,6 +65,7 @@ def ransac(
     confidence: float = 0.9999,
     max_iterations: int = 2000,
     min_inliers: int = 0,
+    unit: str = "",
 ) -> Consensus:
     """Find the hypothesis with the smallest truncated squared error.
 
@@ -77,6 +78,7 @@ def ransac(
     confidence : stop when a better sample than the best would have been drawn with this probability
     max_iterations : most samples
     min_inliers : fewest inliers of an answer; at least sample_size + 1 are asked for
+    unit : of the threshold, for the message of NoConsensus
 
     Raises
     ------
@@ -118,7 +120,7 @@ def ransac(
     wanted = max(min_inliers, model.sample_size + 1)
     if best is None or found < wanted:
         raise NoConsensus(
-            f"inliers: {found} of {model.count} within {threshold:g} after {drawn} samples; need {wanted}"
+            f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}"
         )
     return Consensus(best, inlier_mask, drawn)
 

@@ -77,6 +77,7 @@ def estimate_homography(
         confidence=confidence,
         max_iterations=max_iterations,
         min_inliers=min_inliers,
+        unit=" px",
     )
     H = model.denormalised(consensus.hypothesis)
     inliers = _inliers(H, src, dst, threshold_px)
