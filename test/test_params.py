@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import array
+import ast
 import dataclasses
 import math
 import re
@@ -19,7 +20,13 @@ from imgu_ros.params import (
     parameter_values,
     parameters_from,
 )
+from imgu_ros.vision.descriptors.describe import DescriptorKind
+from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.formation.demosaic import DemosaicMethod
+from imgu_ros.vision.keypoints.detect import Detector
+from imgu_ros.vision.matching.nearest import Metric
+from imgu_ros.vision.scale_space.gaussian import GaussianKernel
+from imgu_ros.vision.scale_space.pyramid import PyramidKind
 
 ALL = declarations()
 SCALAR_TYPES = {"bool": bool, "integer": int, "double": float, "string": str}
@@ -226,3 +233,27 @@ def test_parallel_lists_that_agree():
     )
     assert got.targets.widths_m == (0.5, 0.0) and len(got.targets.poses) == 14
     parameters_from({"raw.black_level": 300})  # white unknown: the frame's data type decides
+
+
+def test_every_parameter_is_read_somewhere(repository):
+    """An option that nothing reads would be accepted and ignored; `reference` has one value, and others are refused."""
+    files = [path for path in (repository / "imgu_ros").rglob("*.py") if path.name != "params.py"]
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
+    read = {node.attr for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    assert {known.name for known in ALL if known.name.split(".")[-1] not in read} == {"reference"}
+
+
+@pytest.mark.parametrize(
+    ("name", "choice"),
+    [
+        ("demosaic.method", DemosaicMethod),
+        ("pyramid.kind", PyramidKind),
+        ("pyramid.kernel", GaussianKernel),
+        ("keypoints.detector", Detector),
+        ("descriptor.kind", DescriptorKind),
+        ("matching.metric", Metric),
+        ("homography.sampler", Sampler),
+    ],
+)
+def test_choices_are_those_of_the_library(name, choice):
+    assert set(declaration(name).choices) == {str(member) for member in choice}

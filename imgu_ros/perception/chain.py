@@ -138,7 +138,12 @@ class Chain:
         p = self._parameters
         with clock.measures(Stage.PYRAMID):
             pyramid = build_pyramid(
-                developed.grey, p.pyramid.kind, p.pyramid.levels, p.pyramid.scales_per_octave, p.pyramid.max_side_px
+                developed.grey,
+                p.pyramid.kind,
+                p.pyramid.levels,
+                p.pyramid.scales_per_octave,
+                p.pyramid.max_side_px,
+                kernel=p.pyramid.kernel,
             )
         with clock.measures(Stage.KEYPOINTS):
             keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count)

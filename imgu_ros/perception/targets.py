@@ -115,6 +115,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         scales_per_octave=parameters.pyramid.scales_per_octave,
         max_side_px=_LARGEST_VIEW * parameters.pyramid.max_side_px,
         min_side_px=48,
+        kernel=parameters.pyramid.kernel,
     )
     keypoints = detect(
         pyramid, parameters.keypoints.detector, _RICHNESS * parameters.keypoints.max_count, even_scales=True
@@ -125,7 +126,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
             f"target {image.name}: {len(described.keypoints)} keypoints; need at least "
             f"{parameters.homography.min_inliers}: a picture with texture, and not too small"
         )
-    octaves = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24)
+    octaves = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=parameters.pyramid.kernel)
     count = parameters.refinement.max_points
     return Target(
         image.name, image.width_m, grey, described, tuple(_alignment(level, count) for level in octaves.levels)
