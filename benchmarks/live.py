@@ -81,7 +81,8 @@ def main() -> int:
     width, height = (int(part) for part in arguments.size.split("x"))
     with tempfile.TemporaryDirectory(prefix="imgu_live_", dir=arguments.scratch) as folder:
         count = round(arguments.seconds * arguments.rate)
-        write_bag(Path(folder), (width, height), arguments.rate, count, arguments.views)
+        motion = Motion(arguments.views, arguments.motion_frames)
+        write_bag(Path(folder), (width, height), arguments.rate, count, motion)
         figures = measure(Path(folder), arguments, count)
     text = json.dumps(asdict(figures), indent=2)
     print(text)
@@ -90,12 +91,20 @@ def main() -> int:
     return 0
 
 
-def write_bag(folder: Path, size: tuple[int, int], rate_hz: float, count: int, views: int) -> None:
-    """Write `poster.png` and `bag`, `count` messages made of `views` rendered frames."""
+@dataclass(frozen=True)
+class Motion:
+    """The first `views` frames of a sequence that goes through its whole motion in `frames`, played to and fro."""
+
+    views: int
+    frames: int
+
+
+def write_bag(folder: Path, size: tuple[int, int], rate_hz: float, count: int, motion: Motion) -> None:
+    """Write `poster.png` and `bag`, `count` messages made of the motion's rendered frames."""
     target = default_targets(1)[0]
     write_image(folder / "poster.png", target.pixels)
-    # The first views of a sequence of full length: the camera moves as fast as it does there.
-    simulation = Simulation(width=size[0], height=size[1], frames=max(count, views), rate_hz=rate_hz)
+    views = motion.views
+    simulation = Simulation(width=size[0], height=size[1], frames=max(motion.frames, views), rate_hz=rate_hz)
     frames = [simulated.frame for simulated in islice(simulate_sequence(simulation, [target]), views)]
     to_and_fro = [*range(views), *range(views - 2, 0, -1)] if views > 2 else list(range(views))
     with BagWriter(folder / "bag") as bag:
@@ -263,6 +272,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=15.0, metavar="HZ")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S")
     parser.add_argument("--views", type=int, default=30, metavar="N", help="rendered frames that are repeated")
+    parser.add_argument(
+        "--motion-frames",
+        type=int,
+        default=120,
+        metavar="N",
+        help="frames of a full roll: 120 turn the camera by 3 degrees from frame to frame",
+    )
     parser.add_argument("--no-profile", action="store_true", help="without the DDS profile for large images")
     parser.add_argument("--domain", type=int, default=77, metavar="ID", help="ROS domain of the measurement")
     parser.add_argument("--scratch", type=Path, metavar="DIR", help="folder for the bag (2 MB a frame)")
