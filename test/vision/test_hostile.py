@@ -1,0 +1,355 @@
+"""Hostile input to every public function of vision/: a typed error or the right answer, never NaN, never a crash.
+
+`test/vision/<room>/calls.py` (or several files `calls_*.py`) gives a valid call of each public function of the room::
+
+    CALLS: dict[Callable, Callable[[np.random.Generator], dict[str, object]]] = {
+        transform: lambda rng: {"H": rng.normal(size=(3, 3)), "points": rng.uniform(0, 9, (5, 2))},
+        Camera.project: lambda rng: {"self": camera(), "points": rng.uniform(1, 2, (5, 3))},  # a method
+    }
+    INFINITE = {depth_of_field}  # optional: functions whose documented results may be infinite
+
+Every call is to be small (about a millisecond). Each array in it, alone or first in a list, and each float, is then
+mutated. `pytest test/vision/test_hostile.py -k projective` runs one room, `-k projective.transform.transform` one function.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import importlib
+import importlib.util
+import inspect
+import itertools
+import pkgutil
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+import imgu_ros.vision
+from imgu_ros.errors import ImguError
+
+HERE = Path(__file__).parent
+ARRAY_TYPES = ("ArrayLike", "NDArray", "Image", "Mask", "Points", "Floats", "Matrix3", "Indices")
+
+type_of_calls = dict[Callable[..., Any], Callable[[np.random.Generator], dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Room:
+    calls: type_of_calls
+    infinite: frozenset[Callable[..., Any]]
+    missing: str
+
+
+def _load(room: str) -> Room:
+    calls: type_of_calls = {}
+    infinite: set[Callable[..., Any]] = set()
+    broken = ""
+    paths = sorted((HERE / room).glob("calls*.py"))
+    for path in paths:
+        try:
+            spec = importlib.util.spec_from_file_location(f"hostile_{room}_{path.stem}", path)
+            assert spec is not None and spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        except Exception:  # one broken file must not hide the others
+            broken += f"test/vision/{room}/{path.name} cannot be loaded:\n{traceback.format_exc()}"
+        else:
+            calls |= module.CALLS
+            infinite |= set(getattr(module, "INFINITE", ()))
+    return Room(calls, frozenset(infinite), broken or ("" if paths else f"test/vision/{room}/calls.py is missing"))
+
+
+def _modules() -> Iterator[ModuleType]:
+    for info in pkgutil.walk_packages(imgu_ros.vision.__path__, "imgu_ros.vision."):
+        yield importlib.import_module(info.name)
+
+
+def _takes_array(function: Callable[..., Any]) -> bool:
+    parameters = inspect.signature(function).parameters.values()
+    return any(name in str(parameter.annotation) for parameter in parameters for name in ARRAY_TYPES)
+
+
+def _of_class(cls: type) -> Iterator[Callable[..., Any]]:
+    """What of a class takes arrays: its constructor, unless it is a plain value type, and its public methods."""
+    if issubclass(cls, enum.Enum | Exception) or getattr(cls, "_is_protocol", False):
+        return
+    value = dataclasses.is_dataclass(cls) and "__post_init__" not in vars(cls)
+    if not value and "__init__" in vars(cls) and _takes_array(cls):
+        yield cls
+    # The methods of a problem or a model are called by `minimise` and `ransac` alone, with what they themselves made.
+    if hasattr(cls, "linearise") or hasattr(cls, "squared_errors"):
+        return
+    for name, member in vars(cls).items():
+        if not name.startswith("_") and inspect.isfunction(member) and _takes_array(member):
+            yield member
+
+
+def _public() -> dict[str, Callable[..., Any]]:
+    found: dict[str, Callable[..., Any]] = {}
+    for module in _modules():
+        place = module.__name__.removeprefix("imgu_ros.vision.")
+        for name, member in vars(module).items():
+            if name.startswith("_") or getattr(member, "__module__", "") != module.__name__:
+                continue
+            if inspect.isfunction(member):
+                found[f"{place}.{name}"] = member
+            elif inspect.isclass(member):
+                for function in _of_class(member):
+                    found[f"{place}.{function.__qualname__}"] = function
+    return found
+
+
+ROOMS = {info.name: _load(info.name) for info in pkgutil.iter_modules(imgu_ros.vision.__path__) if info.ispkg}
+PUBLIC = _public()
+#: Further entries of the rooms: wrappers, inherited methods.
+EXTRA = {
+    f"{name}.{call.__qualname__}": call
+    for name, room in ROOMS.items()
+    for call in room.calls
+    if call not in PUBLIC.values()
+}
+EVERY = PUBLIC | EXTRA
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Mutations
+
+
+def _strided(a: NDArray[Any]) -> NDArray[Any]:
+    wide = np.zeros((*a.shape[:-1], 2 * a.shape[-1]), a.dtype)
+    wide[..., ::2] = a
+    return wide[..., ::2]
+
+
+def _read_only(a: NDArray[Any]) -> NDArray[Any]:
+    a = a.copy()
+    a.flags.writeable = False
+    return a
+
+
+def _with(a: NDArray[Any], value: float, place: float) -> NDArray[Any]:
+    a = a.copy() if a.dtype.kind in "fc" else a.astype(np.float64)
+    a.flat[min(int(place * a.size), a.size - 1)] = value
+    return a
+
+
+def _huge(a: NDArray[Any]) -> Any:
+    return {"f": 1e300 if a.dtype.itemsize > 4 else 3e38, "b": True}.get(
+        a.dtype.kind, np.iinfo(a.dtype).max if a.dtype.kind in "iu" else 1
+    )
+
+
+def _one_huge(a: NDArray[Any], place: float) -> NDArray[Any]:
+    a = a.copy()
+    a.flat[min(int(place * a.size), a.size - 1)] = _huge(a)
+    return a
+
+
+#: The same numbers in memory of another kind: the result must be the same.
+SAME: dict[str, Callable[[NDArray[Any], float], Any]] = {
+    "strided": lambda a, _: _strided(a),
+    "reversed": lambda a, _: a[::-1].copy()[::-1],
+    "fortran": lambda a, _: np.asfortranarray(a),
+    "read-only": lambda a, _: _read_only(a),
+    "byte-swapped": lambda a, _: a.astype(a.dtype.newbyteorder()),
+}
+#: Other numbers, shapes and types: a typed error, or a finite result.
+OTHER: dict[str, Callable[[NDArray[Any], float], Any]] = {
+    "empty": lambda a, _: a[:0],
+    "no columns": lambda a, _: a[..., :0],
+    "one": lambda a, _: a[:1],
+    "one element": lambda a, _: a.reshape(-1)[:1],
+    "0-d": lambda a, _: a.reshape(-1)[0],
+    "nan": lambda a, place: _with(a, np.nan, place),
+    "inf": lambda a, place: _with(a, np.inf, place),
+    "-inf": lambda a, place: _with(a, -np.inf, place),
+    "all nan": lambda a, _: np.full(a.shape, np.nan, a.dtype if a.dtype.kind == "f" else np.float64),
+    "object": lambda a, _: a.astype(object),
+    "objects": lambda a, _: np.full(a.shape, None),
+    "complex": lambda a, _: a.astype(np.complex128),
+    "str": lambda a, _: a.astype(str),
+    "bool": lambda a, _: a.astype(bool),
+    "int8": lambda a, _: np.clip(a.astype(np.float64), -128, 127).astype(np.int8),
+    "int64": lambda a, _: np.clip(a.astype(np.float64), -1e9, 1e9).astype(np.int64),
+    "float16": lambda a, _: np.clip(a.astype(np.float64), -6e4, 6e4).astype(np.float16),
+    "ravelled": lambda a, _: a.reshape(-1),
+    "stacked": lambda a, _: a[None],
+    "deeper": lambda a, _: a[..., None],
+    "transposed": lambda a, _: a.T,
+    "shorter": lambda a, _: a[:-1],
+    "narrower": lambda a, _: a[..., :-1],
+    "longer": lambda a, _: np.concatenate((a, a[:1])),
+    "ragged": lambda a, _: [[1.0, 2.0], [3.0]],
+    "zeros": lambda a, _: np.zeros_like(a),
+    "negative": lambda a, _: -a if a.dtype.kind == "f" else a,
+    "all huge": lambda a, _: np.full_like(a, _huge(a)),
+    "one huge": _one_huge,
+    "tiny": lambda a, _: np.full_like(a, 1e-300 if a.dtype == np.float64 else 1e-38 if a.dtype.kind == "f" else 0),
+}
+FLOATS = {"nan": np.nan, "inf": np.inf, "-inf": -np.inf}
+
+
+@dataclass(frozen=True)
+class Case:
+    argument: str
+    mutation: str
+    #: Position in a list of arrays; None: the argument itself.
+    index: int | None = None
+
+    def applied(self, arguments: dict[str, Any], place: float = 0.5) -> dict[str, Any]:
+        value = arguments[self.argument]
+        if self.index is not None:
+            changed = list(value)
+            changed[self.index] = (SAME | OTHER)[self.mutation](value[self.index], place)
+            return arguments | {self.argument: type(value)(changed)}
+        if isinstance(value, float):
+            return arguments | {self.argument: FLOATS[self.mutation]}
+        return arguments | {self.argument: (SAME | OTHER)[self.mutation](value, place)}
+
+
+def _cases(arguments: dict[str, Any]) -> Iterator[Case]:
+    for name, value in arguments.items():
+        if isinstance(value, np.ndarray) and value.ndim:
+            yield from (Case(name, mutation) for mutation in SAME | OTHER)
+        elif isinstance(value, list | tuple) and value and isinstance(value[0], np.ndarray) and value[0].ndim:
+            yield from (Case(name, mutation, 0) for mutation in SAME | OTHER)
+        elif type(value) is float:
+            yield from (Case(name, mutation) for mutation in FLOATS)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Results
+
+
+def _leaves(value: Any, path: str = "result") -> Iterator[tuple[str, Any]]:
+    """Every number and array in a result, with where it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for field in dataclasses.fields(value):
+            yield from _leaves(getattr(value, field.name), f"{path}.{field.name}")
+    elif isinstance(value, list | tuple):
+        for i, item in enumerate(value):
+            yield from _leaves(item, f"{path}[{i}]")
+    elif isinstance(value, Iterator):
+        yield from _leaves(list(itertools.islice(value, 3)), path)
+    elif isinstance(value, np.ndarray | np.generic | float | int | str) or value is None:
+        yield path, value
+
+
+def _call(function: Callable[..., Any], arguments: dict[str, Any], infinite: bool) -> list[tuple[str, Any]]:
+    """Call, and check that the inputs stay and that the result is finite; return the result's leaves."""
+    before = {path: leaf.copy() for path, leaf in _arrays(arguments)}
+    leaves = list(_leaves(function(**arguments)))
+    for path, leaf in _arrays(arguments):
+        assert_array_equal(leaf, before[path], f"{path} was modified in place")
+    for path, leaf in leaves:
+        kind = leaf.dtype.kind if isinstance(leaf, np.ndarray | np.generic) else "f" if isinstance(leaf, float) else ""
+        if kind in ("f", "c"):
+            wrong = np.isnan(leaf) if infinite else ~np.isfinite(leaf)
+            assert not np.any(wrong), f"{path} holds {np.count_nonzero(wrong)} values that are not finite"
+    return leaves
+
+
+def _arrays(arguments: dict[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    for name, value in arguments.items():
+        for path, leaf in _leaves(value if not isinstance(value, Iterator) else None, name):
+            if isinstance(leaf, np.ndarray):
+                yield path, leaf
+
+
+def _require_same(got: list[tuple[str, Any]], expected: list[tuple[str, Any]]) -> None:
+    assert [path for path, _ in got] == [path for path, _ in expected]
+    for (path, a), (_, b) in zip(got, expected, strict=True):
+        if isinstance(b, str) or b is None:
+            assert a == b, path
+            continue
+        a, b = np.asarray(a), np.asarray(b)
+        assert a.shape == b.shape, path
+        if b.dtype.kind != "f":
+            assert_array_equal(a, b, path)
+        else:
+            relative = 1e-7 if b.dtype == np.float64 else 1e-4
+            scale = float(np.abs(b[np.isfinite(b)]).max(initial=0))
+            assert_allclose(a, b, relative, relative * scale, err_msg=path)
+
+
+def _violation(function: Callable[..., Any], cases: list[Case], room: Room, seed: int, place: float) -> str | None:
+    """Return what is wrong with the answer to one hostile call; None: nothing."""
+    arguments = room.calls[function](np.random.default_rng(seed))
+    for case in cases:
+        arguments = case.applied(arguments, place)
+    infinite = function in room.infinite
+    same = all(case.mutation in SAME for case in cases)
+    what = ", ".join(f"{c.argument}{'' if c.index is None else [c.index]} {c.mutation}" for c in cases)
+    try:
+        got = _call(function, arguments, infinite)
+    except ImguError as error:
+        if same and not any(case.mutation == "byte-swapped" for case in cases):
+            return f"{what}: {error!r}"
+        return None if str(error) and "\n" not in str(error) else f"{what}: {error!r} is not one line"
+    except Exception as error:  # whatever escapes is the finding
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        line = " ".join(str(error).split())[:150]
+        return f"{what}: {type(error).__name__}: {line} ({Path(at.filename).name}:{at.lineno})"
+    if same:
+        try:
+            _require_same(got, _call(function, room.calls[function](np.random.default_rng(seed)), infinite))
+        except AssertionError as error:
+            return f"{what}: another result: {' '.join(str(error).split())[:150]}"
+    return None
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def _room_of(name: str) -> Room:
+    room = ROOMS[name.split(".", 1)[0]]
+    if EVERY[name] not in room.calls:
+        short = name.split(".", 1)[0]
+        pytest.fail(room.missing or f"test/vision/{short}/calls.py has no call of {name}", pytrace=False)
+    return room
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_valid_call(name: str) -> None:
+    room = _room_of(name)
+    _call(EVERY[name], room.calls[EVERY[name]](np.random.default_rng(0)), EVERY[name] in room.infinite)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_hostile_argument(name: str) -> None:
+    room, function = _room_of(name), EVERY[name]
+    cases = list(_cases(room.calls[function](np.random.default_rng(0))))
+    found = [_violation(function, [case], room, 0, 0.5) for case in cases]
+    wrong = [violation for violation in found if violation]
+    if wrong:
+        pytest.fail(f"{name}: {len(wrong)} of {len(cases)} hostile calls:\n  " + "\n  ".join(wrong), pytrace=False)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_hostile_arguments_together(name: str) -> None:
+    room, function = _room_of(name), EVERY[name]
+    cases = list(_cases(room.calls[function](np.random.default_rng(0))))
+    if not cases:
+        return
+
+    @settings(max_examples=8, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(
+        chosen=st.lists(st.sampled_from(cases), min_size=1, max_size=2, unique_by=lambda case: case.argument),
+        seed=st.integers(1, 3),
+        place=st.floats(0, 1),
+    )
+    def check(chosen: list[Case], seed: int, place: float) -> None:
+        violation = _violation(function, chosen, room, seed, place)
+        assert violation is None, violation
+
+    check()
