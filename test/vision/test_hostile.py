@@ -9,7 +9,7 @@
     INFINITE = {depth_of_field}  # optional: functions whose documented results may be infinite
 
 Every call is to be small (about a millisecond). Each array in it, alone or first in a list, and each float, is then
-mutated. `pytest test/vision/test_hostile.py -k projective` runs one room, `-k projective.transform.transform` one function.
+mutated. `pytest test/vision/test_hostile.py -k projective` runs one room, `-k projective.transform` one module.
 """
 
 from __future__ import annotations
