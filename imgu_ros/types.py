@@ -54,7 +54,7 @@ def as_rows(rows: ArrayLike, columns: int, name: str, minimum: int = 0) -> Float
     ShapeError
         If it cannot be converted, has another shape, or holds NaN or infinity.
     """
-    array = _as_float64(rows, name)
+    array = as_floats(rows, name)
     if array.ndim != 2 or array.shape[1] != columns or len(array) < minimum:
         raise ShapeError(f"{name}: shape {array.shape}; need (N >= {minimum}, {columns})")
     return _finite(array, name)
@@ -68,10 +68,26 @@ def as_matrix(matrix: ArrayLike, shape: Sequence[int], name: str) -> Floats:
     ShapeError
         If it cannot be converted, has another shape, or holds NaN or infinity.
     """
-    array = _as_float64(matrix, name)
+    array = as_floats(matrix, name)
     if array.shape != tuple(shape):
         raise ShapeError(f"{name}: shape {array.shape}; need {tuple(shape)}")
     return _finite(array, name)
+
+
+def as_floats(values: ArrayLike, name: str) -> Floats:
+    """Return `values` as a float64 array of any shape; NaN and infinities stay.
+
+    Raises
+    ------
+    ShapeError
+        If they are not real numbers.
+    """
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "biufO":
+        raise ShapeError(f"{name}: data type {values.dtype}; need real numbers")
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ShapeError(f"{name}: {error}; need numbers") from None
 
 
 def as_image(
@@ -107,15 +123,6 @@ def as_image(
     # OpenCV reads a big-endian array as if it were native, and says nothing.
     image = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
     return _finite(image, name) if image.dtype.kind == "f" else image
-
-
-def _as_float64(values: ArrayLike, name: str) -> Floats:
-    if isinstance(values, np.ndarray) and values.dtype.kind not in "biufO":
-        raise ShapeError(f"{name}: data type {values.dtype}; need real numbers")
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ShapeError(f"{name}: {error}; need numbers") from None
 
 
 def _finite(array: NDArray[Any], name: str) -> NDArray[Any]:
