@@ -17,9 +17,10 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Floats, Matrix3, Points, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose_problem import PoseProblem
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.covariance import propagated_covariance
-from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
+from imgu_ros.vision.estimation.nonlinear import minimise
 from imgu_ros.vision.projective.estimate import require_spread
 
 
@@ -87,45 +88,6 @@ def planar_poses(
     return PlanarPoses(tuple(refined), ambiguity)
 
 
-class _PoseProblem:
-    """Reprojection residuals, (N, 2) px; the estimate is a rigid transform (4, 4) camera_from_plane."""
-
-    def __init__(self, plane_xy: Points, pixels: Points, camera: Camera) -> None:
-        self._plane = plane_xy
-        self._pixels = pixels
-        self._camera = camera
-
-    def residuals(self, estimate: Floats) -> Floats:
-        """Return projected - measured."""
-        return self._camera.project(self._in_camera(estimate)) - self._pixels
-
-    def linearise(self, estimate: Floats) -> Linearisation:
-        """Return residuals and their derivative by (x y z rx ry rz): t + xyz, Exp(r) R."""
-        points = self._in_camera(estimate)
-        projected, by_point = self._camera.project_with_jacobian(points)
-        turned = points - estimate[:3, 3]
-        by_step = np.zeros((len(points), 3, 6))
-        by_step[:, :, :3] = np.eye(3)
-        # d (Exp(r) v) / dr = -[v]x
-        by_step[:, 0, 4], by_step[:, 0, 5] = turned[:, 2], -turned[:, 1]
-        by_step[:, 1, 3], by_step[:, 1, 5] = -turned[:, 2], turned[:, 0]
-        by_step[:, 2, 3], by_step[:, 2, 4] = turned[:, 1], -turned[:, 0]
-        return Linearisation(projected - self._pixels, by_point @ by_step)
-
-    def step(self, estimate: Floats, delta: Floats) -> Floats:
-        """Return the transform moved by (x y z rx ry rz)."""
-        moved = np.eye(4)
-        moved[:3, :3] = exp_so3(delta[3:]) @ estimate[:3, :3]
-        moved[:3, 3] = estimate[:3, 3] + delta[:3]
-        return moved
-
-    def _in_camera(self, estimate: Floats) -> Floats:
-        points = self._plane @ estimate[:3, :2].T + estimate[:3, 3]
-        if not points[:, 2].min() > 0:
-            raise DegenerateConfiguration("pose: points of the plane lie behind the camera; need all in front")
-        return points
-
-
 def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
     """Return up to two rigid transforms (4, 4) by infinitesimal plane-based pose estimation (OpenCV)."""
     plane = np.column_stack((plane_xy, np.zeros(len(plane_xy))))
@@ -156,7 +118,7 @@ def _refined(
     noise_px: float | None,
     correlation: Floats | None,
 ) -> Pose:
-    minimum = minimise(_PoseProblem(plane_xy, pixels, camera), start, max_iterations=30)
+    minimum = minimise(PoseProblem(plane_xy, pixels, camera), start, max_iterations=30)
     R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
     rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
     return Pose(R, t, propagated_covariance(minimum, noise_px, correlation), rms)

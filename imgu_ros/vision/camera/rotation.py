@@ -6,27 +6,96 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3, as_matrix
+
+#: How far R^T R may be from the identity: looser than rounding, tighter than any other kind of matrix.
+_ORTHONORMAL = 1e-5
+#: Radians; the fraction of a turn is lost in longer vectors.
+_LONGEST_VECTOR = 1e8
 
 
 def exp_so3(vector: ArrayLike) -> Matrix3:
-    """Return the rotation by |vector| radians about the direction of `vector`, (3,)."""
-    return np.asarray(Rotation.from_rotvec(as_matrix(vector, (3,), "vector")).as_matrix(), np.float64)
+    """Return the rotation by |vector| radians about the direction of `vector`, (3,).
+
+    Raises
+    ------
+    ShapeError
+        If `vector` is not three finite numbers of at most 1e8.
+
+    Examples
+    --------
+    >>> exp_so3([0, 0, np.pi / 2]).round(6).tolist()
+    [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    vector = as_matrix(vector, (3,), "vector")
+    if np.abs(vector).max() > _LONGEST_VECTOR:
+        raise ShapeError(f"vector: {vector.tolist()}; need radians, at most {_LONGEST_VECTOR:g}")
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix(), np.float64)
 
 
 def log_so3(R: ArrayLike) -> Floats:
-    """Return the rotation vector (3,) of R, of length 0 to pi."""
-    return np.asarray(Rotation.from_matrix(as_matrix(R, (3, 3), "R")).as_rotvec(), np.float64)
+    """Return the rotation vector (3,) of R, of length 0 to pi. ShapeError as `as_rotation`.
+
+    Examples
+    --------
+    >>> log_so3([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).round(6).tolist()
+    [0.0, 0.0, 1.570796]
+    """
+    return np.asarray(Rotation.from_matrix(as_rotation(R)).as_rotvec(), np.float64)
 
 
 def quaternion(R: ArrayLike) -> Floats:
-    """Return R's unit quaternion (x, y, z, w) with w >= 0; at w = 0 the first other non-zero part is positive."""
-    q = np.asarray(Rotation.from_matrix(as_matrix(R, (3, 3), "R")).as_quat(), np.float64)
+    """Return R's unit quaternion (x, y, z, w) with w >= 0; at w = 0 the first other non-zero part is positive.
+
+    ShapeError as `as_rotation`.
+    """
+    q = np.asarray(Rotation.from_matrix(as_rotation(R)).as_quat(), np.float64)
     leading = q[[3, 0, 1, 2]]
     sign = leading[np.flatnonzero(leading != 0)[0]]
     return (q if sign > 0 else -q) + 0.0
 
 
 def from_quaternion(q: ArrayLike) -> Matrix3:
-    """Return the rotation of a quaternion (x, y, z, w), which is normalised first."""
-    return np.asarray(Rotation.from_quat(as_matrix(q, (4,), "q")).as_matrix(), np.float64)
+    """Return the rotation of a quaternion (x, y, z, w), which is normalised first. ShapeError when it is zero."""
+    q = as_matrix(q, (4,), "q")
+    largest = float(np.abs(q).max())
+    if largest == 0:
+        raise ShapeError("q: all zero; need a quaternion (x, y, z, w)")
+    # Divided first: the square of a large or tiny number is none.
+    return np.asarray(Rotation.from_quat(q / largest).as_matrix(), np.float64)
+
+
+def as_rotation(R: ArrayLike, name: str = "R") -> Matrix3:
+    """Return R as a float64 matrix (3, 3) when it is a rotation.
+
+    Raises
+    ------
+    ShapeError
+        If it is not (3, 3), not finite, not orthonormal to 1e-5, or a reflection.
+    """
+    R = as_matrix(R, (3, 3), name)
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = float(np.abs(R.T @ R - np.eye(3)).max())
+        determinant = float(np.linalg.det(R)) if error <= _ORTHONORMAL else 0.0
+    if not determinant > 0:
+        raise ShapeError(f"{name}: {R.tolist()}; need a rotation (R^T R = I, det R = 1)")
+    return R
+
+
+def nearest_rotation(matrix: ArrayLike, name: str = "matrix") -> Matrix3:
+    """Return the rotation nearest to a (3, 3) matrix in the Frobenius norm (orthogonal Procrustes; HZ appendix A4).
+
+    Raises
+    ------
+    ShapeError
+        If the matrix is not (3, 3) and finite, or so nearly singular that the rotation is not determined.
+    """
+    matrix = as_matrix(matrix, (3, 3), name)
+    largest = float(np.abs(matrix).max())
+    U, singular, Vt = np.linalg.svd(matrix / (largest or 1.0))
+    sign = 1.0 if np.linalg.det(U @ Vt) > 0 else -1.0
+    # With det < 0 the smallest direction is turned over; two equal smallest ones leave open which.
+    if not singular[1] + sign * singular[2] > 1e-9:
+        raise ShapeError(f"{name}: singular values {singular.tolist()}; need a matrix near a rotation")
+    return np.asarray((U * (1.0, 1.0, sign)) @ Vt, np.float64)
