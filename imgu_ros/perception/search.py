@@ -18,7 +18,7 @@ from imgu_ros.types import Image, Mask
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.matches import Matches
-from imgu_ros.vision.matching.nearest import match
+from imgu_ros.vision.matching.nearest import match_to_gallery
 from imgu_ros.vision.projective.estimate import estimate_homography
 
 
@@ -68,14 +68,7 @@ def search(
 
 def _matched(target: Target, described: Descriptions, parameters: Parameters) -> TargetMatches:
     p = parameters.matching
-    found = match(
-        described.descriptors,
-        target.described.descriptors,
-        p.metric,
-        p.ratio,
-        p.mutual,
-        dst_xy=target.described.keypoints.xy,
-    )
+    found = match_to_gallery(described.descriptors, target.gallery, p.ratio, p.mutual)
     # Sought from the frame to the target, told from the target to the frame.
     matches = Matches(found.index_dst, found.index_src, found.distance)
     return TargetMatches(

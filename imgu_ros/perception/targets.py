@@ -14,6 +14,7 @@ from imgu_ros.types import Image, Points
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.spreading import spread
+from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
 
 #: A target may fill this many times the frame's longer side.
@@ -63,6 +64,7 @@ class Target:
     name, width_m : as in `TargetImage`
     grey : (H, W) uint8
     described : keypoints and descriptors at every scale
+    gallery : the descriptors, for a frame's to be matched to
     alignment : octaves from fine to coarse
     """
 
@@ -70,6 +72,7 @@ class Target:
     width_m: float
     grey: Image
     described: Descriptions
+    gallery: Gallery
     alignment: tuple[AlignmentLevel, ...]
 
     @property
@@ -129,7 +132,12 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     octaves = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=parameters.pyramid.kernel)
     count = parameters.refinement.max_points
     return Target(
-        image.name, image.width_m, grey, described, tuple(_alignment(level, count) for level in octaves.levels)
+        image.name,
+        image.width_m,
+        grey,
+        described,
+        prepare_gallery(described.descriptors, parameters.matching.metric, described.keypoints.xy),
+        tuple(_alignment(level, count) for level in octaves.levels),
     )
 
 

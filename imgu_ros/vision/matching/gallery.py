@@ -1,0 +1,55 @@
+"""A set of descriptors that others are matched to, prepared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Image, Points, as_matrix
+from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, resolved
+from imgu_ros.vision.matching.numbers import NumberRows, number_rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gallery:
+    """Descriptors that others are matched to again and again.
+
+    Attributes
+    ----------
+    descriptors : (M, D) uint8 or float32, as given
+    metric : never auto
+    prepared : what comparing with the metric needs of them
+    xy : (M, 2) px where they lie, or None
+    same_place_px : up to how far apart, along x and along y, two of them are at the same place
+    """
+
+    descriptors: Image
+    metric: Metric
+    prepared: BinaryRows | NumberRows
+    xy: Points | None
+    same_place_px: float
+
+    def __len__(self) -> int:
+        return len(self.descriptors)
+
+
+def prepare_gallery(
+    descriptors: Image, metric: Metric | str = Metric.AUTO, xy: Points | None = None, same_place_px: float = 8.0
+) -> Gallery:
+    """Prepare descriptors for `match_to_gallery`; the parameters are those of `match`.
+
+    Raises
+    ------
+    ShapeError
+        If rows, data type or metric do not fit each other, a row holds NaN or numbers beyond 1e15, or the places are
+        not (M, 2).
+    """
+    checked_rows(descriptors, "dst")
+    metric = resolved(metric, descriptors)
+    if xy is not None:
+        xy = as_matrix(xy, (len(descriptors), 2), "dst_xy")
+    if not same_place_px >= 0:
+        raise ShapeError(f"same_place_px: {same_place_px!r}; need a number >= 0")
+    prepared = binary_rows(descriptors) if metric is Metric.HAMMING else number_rows(descriptors, metric)
+    return Gallery(descriptors, metric, prepared, xy, same_place_px)

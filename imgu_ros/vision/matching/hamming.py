@@ -1,0 +1,99 @@
+"""Hamming distances between all rows of two sets, by one product of matrices (notes 5.4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imgu_ros.types import Floats, Image, Indices
+
+#: Of bits that one product sums up: two such sums fit exactly into the 24 bits of a float32.
+_CHUNK_BITS = 256
+#: What one product holds, 16 MB: a product has its threads wait for each other, and many small ones suffer where
+#: other processes compete for the processors.
+_PRODUCT_ELEMENTS = 2**22
+#: What one block of a table holds: it stays in the cache, whatever the sizes of the sets.
+_BLOCK_ELEMENTS = 2**18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BinaryRows:
+    """Rows of bits, ready to be compared with others again and again.
+
+    Attributes
+    ----------
+    rows : (M, D / 8) uint8
+    chunks : for each 256 of the D bits, and for the rest (K), a ((M + 1) // 2, K + 1) float32 matrix, two rows in one
+    """
+
+    rows: Image
+    chunks: tuple[NDArray[np.float32], ...]
+
+    def tables(self, src: Image) -> Iterator[NDArray[Any]]:
+        """Yield how many more bits agree than differ, D - 2 Hamming, for all pairs; by blocks of successive rows.
+
+        Parameters
+        ----------
+        src : (N, D / 8) uint8
+
+        Yields
+        ------
+        (n, M) int16 (int32 where D >= 2^15), the n sum up to N. The next block overwrites it. O(N M D).
+        """
+        pairs, bits = (len(self.rows) + 1) // 2, 8 * self.rows.shape[1]
+        operands = [np.pad(signs, ((0, 0), (0, 1)), constant_values=1) for signs in _signs(src)]
+        height = min(len(src), max(1, _BLOCK_ELEMENTS // (2 * pairs)))
+        at_once = height * max(1, _PRODUCT_ELEMENTS // (height * pairs))
+        both = np.empty((height, pairs), "<i4")
+        table = np.empty((height, 2 * pairs), "<i2" if bits < 2**15 else "<i4")
+        added = np.tile(np.array([_CHUNK_BITS, 0], "<i2"), pairs)
+        for start in range(0, len(src), height):
+            some = slice(start % at_once, start % at_once + height)
+            if not some.start:
+                products = [
+                    operand[start : start + at_once] @ chunk.T
+                    for operand, chunk in zip(operands, self.chunks, strict=True)
+                ]
+            n = len(products[0][some])
+            for index, product in enumerate(products):
+                np.copyto(both[:n], product[some], casting="unsafe")
+                if index == 0:
+                    np.subtract(both[:n].view("<i2"), added, out=table[:n])
+                else:
+                    table[:n] += both[:n].view("<i2") - added
+            yield table[:n, : len(self.rows)]
+
+    def distances(self, src: Image, index: Indices) -> Floats:
+        """Return in how many bits each row of `src`, (N, D / 8) uint8, differs from the one of its index, (N,)."""
+        differing: NDArray[np.uint8] = np.bitwise_xor(src, self.rows[index])
+        return np.asarray(np.unpackbits(differing, axis=1).sum(axis=1), np.float64)
+
+
+def binary_rows(rows: Image) -> BinaryRows:
+    """Prepare (M, D / 8) uint8 rows for comparison.
+
+    With bits as -1 and 1 the product of two rows of K bits is a whole number from -K to K. The rows 2j and 2j + 1
+    become one, `row[2j] + 2^16 row[2j + 1]`, so that one product yields both numbers in half the time. It is exact in
+    float32: a sum of up to 255 terms is below 2^24 in magnitude, and that of all 256 is even and below 2^25. A last
+    column adds 256 to the lower number, which then is positive and borrows nothing from the upper one.
+    """
+    chunks = []
+    for signs in _signs(rows):
+        packed = np.full(((len(rows) + 1) // 2, signs.shape[1] + 1), _CHUNK_BITS, np.float32)
+        packed[:, :-1] = signs[0::2]
+        packed[: len(rows) // 2, :-1] += 2**16 * signs[1::2]
+        chunks.append(packed)
+    return BinaryRows(rows, tuple(chunks))
+
+
+def _signs(rows: Image) -> Iterator[NDArray[np.float32]]:
+    """Yield (N, K <= 256) chunks of the bits, as -1 and 1."""
+    for start in range(0, rows.shape[1], _CHUNK_BITS // 8):
+        signs = np.unpackbits(rows[:, start : start + _CHUNK_BITS // 8], axis=1).astype(np.float32)
+        signs *= 2
+        signs -= 1
+        yield signs
