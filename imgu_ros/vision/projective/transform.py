@@ -8,6 +8,9 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
 
+#: Squares and products of three of such numbers are finite and regular.
+_PLAIN = (1e-90, 1e90)
+
 
 def transform(H: ArrayLike, points: ArrayLike) -> Points:
     """Map points by a homography.
@@ -24,23 +27,39 @@ def transform(H: ArrayLike, points: ArrayLike) -> Points:
     Raises
     ------
     DegenerateConfiguration
-        If a point is mapped to infinity.
+        If a point is mapped to infinity, or so far that its coordinates are no floats.
+
+    Examples
+    --------
+    >>> transform([[2, 0, 10], [0, 3, -4], [0, 0.01, 1]], [[0, 0], [1, 100]]).tolist()
+    [[10.0, -4.0], [6.0, 148.0]]
     """
     H = as_matrix(H, (3, 3), "H")
     points = as_points(points)
-    mapped = points @ H[:, :2].T + H[:, 2]
-    if len(points) and (mapped[:, 2] == 0).any():
-        raise DegenerateConfiguration("points: one is mapped to infinity by H; need points off the vanishing line")
-    return mapped[:, :2] / mapped[:, 2:]
+    return _mapped(H, points)[0]
 
 
 def local_jacobian(H: ArrayLike, points: ArrayLike) -> Floats:
-    """Return the derivative of the mapped points by the points, (N, 2, 2): H's local affine part."""
+    """Return the derivative of the mapped points by the points, (N, 2, 2): H's local affine part.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a point is mapped to infinity, or the derivative there is beyond floats.
+
+    Examples
+    --------
+    >>> local_jacobian([[1, 0, 0], [0, 1, 0], [0.01, 0, 1]], [[100, 0]]).round(6).tolist()
+    [[[0.25, 0.0], [0.0, 0.5]]]
+    """
     H = as_matrix(H, (3, 3), "H")
     points = as_points(points)
-    mapped = points @ H[:, :2].T + H[:, 2]
-    xy = mapped[:, :2] / mapped[:, 2:]
-    return (H[None, :2, :2] - xy[:, :, None] * H[2, :2]) / mapped[:, 2][:, None, None]
+    xy, w = _mapped(H, points)
+    with np.errstate(over="ignore", invalid="ignore"):
+        jacobian: Floats = (H[None, :2, :2] - xy[:, :, None] * H[2, :2]) / w[:, None, None]
+    if not np.isfinite(jacobian).all():
+        raise DegenerateConfiguration("H: its derivative is beyond floats; need points off the vanishing line")
+    return jacobian
 
 
 def normalised_homography(H: ArrayLike) -> Matrix3:
@@ -54,12 +73,19 @@ def normalised_homography(H: ArrayLike) -> Matrix3:
     ------
     DegenerateConfiguration
         If H is zero.
+
+    Examples
+    --------
+    >>> normalised_homography([[-2, -1, -1], [-1, -2, -1], [-1, -1, -1]]).round(3).tolist()
+    [[0.516, 0.258, 0.258], [0.258, 0.516, 0.258], [0.258, 0.258, 0.258]]
     """
     H = as_matrix(H, (3, 3), "H")
-    norm = float(np.linalg.norm(H))
-    if norm == 0:
+    largest = float(np.abs(H).max())
+    if largest == 0:
         raise DegenerateConfiguration("H: all zero; need a homography")
-    return H * ((1 if np.linalg.det(H) >= 0 else -1) / norm)
+    if not _PLAIN[0] < largest < _PLAIN[1]:
+        H = H / largest
+    return H * ((1 if np.linalg.det(H) >= 0 else -1) / float(np.linalg.norm(H)))
 
 
 def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
@@ -67,7 +93,31 @@ def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
 
     Then it keeps the orientation of the plane about each of them and puts none behind the camera; a mirrored view,
     or one in which the vanishing line crosses the points, does not (HZ section 21.1).
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If H is zero.
+
+    Examples
+    --------
+    >>> H = [[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]
+    >>> faces_camera(H, [[0, 0], [0, 50]]), faces_camera(H, [[0, 0], [0, -200]])
+    (True, False)
     """
     H = normalised_homography(H)
     points = as_points(points)
-    return bool((points @ H[2, :2] + H[2, 2] > 0).all())
+    # Coordinates may be as large as floats are: an overflow keeps the sign.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool((points @ H[2, :2] + H[2, 2] > 0).all())
+
+
+def _mapped(H: Matrix3, points: Points) -> tuple[Points, Floats]:
+    """Return the mapped points, and the third homogeneous coordinate of each."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        mapped = points @ H[:, :2].T + H[:, 2]
+        w = mapped[:, 2]
+        xy = mapped[:, :2] / w[:, None]
+    if not (np.isfinite(xy).all() and np.isfinite(w).all()):
+        raise DegenerateConfiguration("points: one is mapped to infinity by H; need points off the vanishing line")
+    return xy, w
