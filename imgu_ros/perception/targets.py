@@ -23,6 +23,7 @@ _LARGEST_VIEW = 2
 _RICHNESS = 3
 _CORNER_QUALITY = 0.005
 _CORNER_DISTANCE_PX = 6
+_FIRST_SPREAD = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,4 +148,10 @@ def _alignment(level: Level, count: int) -> AlignmentLevel:
     # goodFeaturesToTrack sorts by strength but does not return it: the rank serves as well.
     rank = -np.arange(len(xy), dtype=np.float64)
     size = (level.image.shape[1], level.image.shape[0])
-    return AlignmentLevel(level, level.to_full(xy[spread(xy, rank, size, 3 * count)]))
+    # However many of them are taken, from the first, lie spread over the picture.
+    counts = [3 * count]
+    while counts[0] > _FIRST_SPREAD:
+        counts.insert(0, counts[0] // 2)
+    order = np.concatenate([spread(xy, rank, size, n) for n in counts])
+    _, first = np.unique(order, return_index=True)
+    return AlignmentLevel(level, level.to_full(xy[order[np.sort(first)]]))

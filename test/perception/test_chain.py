@@ -63,15 +63,16 @@ def test_detection_without_refinement_is_already_good(one_target_frames: Frames,
     assert all(Stage.REFINE not in r.times_ns for r in results)
 
 
-def test_covariance_agrees_with_the_errors(one_target_frames: Frames, targets: Targets) -> None:
-    """Normalised squared errors of the 6-D pose are of the order of 6, neither 0.6 nor 60."""
+def test_covariance_agrees_with_the_errors(target_images: tuple[TargetImage, ...], targets: Targets) -> None:
+    """Normalised squared errors of the 6-D pose are 6 on average."""
     chain = Chain(parameters_from({"tracking.enabled": False}), targets[:1])
     squared = []
-    for simulated in one_target_frames:
+    # The whole motion in few frames: their errors have little to do with each other.
+    for simulated in simulate_sequence(Simulation(width=640, height=480, frames=20, seed=3), target_images[:1]):
         pose, truth = chain.process(simulated.frame).targets[0].pose, simulated.truths[0].pose
         d = np.r_[truth.t - pose.t, log_so3(truth.R @ pose.R.T)]
         squared.append(d @ np.linalg.solve(pose.covariance, d))
-    assert 2.5 < np.median(squared) < 12
+    assert 3.5 < np.mean(squared) < 9
 
 
 def test_several_targets(two_target_frames: Frames, targets: Targets) -> None:
