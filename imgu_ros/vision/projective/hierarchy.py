@@ -94,7 +94,7 @@ def _in_units(H: Matrix3, extent: float) -> Matrix3 | None:
     """Return H with the extent as unit of length and h33 = 1; None where h33 vanishes beside the others."""
     scale = np.array([1.0, 1.0, extent])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        G: Matrix3 = H / np.abs(H).max() * scale[None, :] / scale[:, None]
+        G: Matrix3 = H / np.abs(H).max() * scale[:, None] / scale[None, :]
         G = G / G[2, 2]
     return G if np.isfinite(G).all() else None
 
