@@ -153,20 +153,24 @@ class KeypointsParameters:
 
 @dataclass(frozen=True, slots=True)
 class DescriptorParameters:
-    kind: str = parameter("orb", "Descriptor.", choices=("orb", "sift", "rootsift"))
+    kind: str = parameter("orb", "Descriptor.", choices=("orb", "sift", "rootsift", "brief", "patch"))
 
 
 @dataclass(frozen=True, slots=True)
 class MatchingParameters:
     metric: str = parameter(
         "auto",
-        "Distance between descriptors; `auto`: Hamming for binary ones, Euclidean for others.",
-        choices=("auto", "euclidean", "cosine", "hamming"),
+        "Distance between descriptors; `auto`: `hamming` for `orb` and `brief`, `euclidean` for `sift` and `rootsift`, "
+        "`ncc` for `patch`.",
+        choices=("auto", "euclidean", "cosine", "hamming", "ssd", "zmssd", "ncc"),
     )
     ratio: float = parameter(
         0.85, "Keep a match when best / second-best distance is below this; 1 keeps all.", minimum=0.1, maximum=1.0
     )
     mutual: bool = parameter(True, "Keep a match only when each is the other's nearest.")
+    guided: bool = parameter(
+        False, "After a first homography, seek matches again where it predicts them, until they stay the same."
+    )
 
 
 @dataclass(frozen=True, slots=True)

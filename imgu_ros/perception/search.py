@@ -10,6 +10,7 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError, TooFewPoin
 from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.guiding import Guided, guided
 from imgu_ros.perception.posing import Located, bending, posed, require_plausible
 from imgu_ros.perception.refinement import refine_by_alignment
 from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResult
@@ -54,6 +55,10 @@ def search(
     try:
         with clock.measures(Stage.HOMOGRAPHY):
             located, inliers = _located(target, matches, lens, parameters, rng)
+            matches = replace(matches, inliers=inliers)
+            if parameters.matching.guided:
+                more = guided(target, searched.described, Guided(matches, located), lens, parameters)
+                matches, located = more.matches, more.located
     except DegenerateConfiguration as error:
         return replace(missing, status=Status.DEGENERATE, reason=str(error))
     except EstimationError as error:
@@ -61,7 +66,7 @@ def search(
     if parameters.refinement.enabled:
         with clock.measures(Stage.REFINE):
             located = _aligned(target, searched, located, lens, parameters, rng)
-    found = replace(missing, status=Status.DETECTED, matches=replace(matches, inliers=inliers))
+    found = replace(missing, status=Status.DETECTED, matches=matches)
     with clock.measures(Stage.POSE):
         return posed(found, target, located, searched.frame.camera, parameters)
 

@@ -15,6 +15,7 @@ from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
+from imgu_ros.vision.matching.metrics import metric_for
 from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
 
 #: A target may fill this many times the frame's longer side.
@@ -102,7 +103,8 @@ def prepare_targets(images: Sequence[TargetImage], parameters: Parameters) -> tu
     Raises
     ------
     ShapeError
-        If a picture is not (H, W) or (H, W, 3) uint8, or has nothing that a keypoint could be found on.
+        If a picture is not (H, W) or (H, W, 3) uint8, or has nothing that a keypoint could be found on; if the metric
+        makes no sense for the descriptor.
     """
     return tuple(_prepared(image, parameters) for image in images)
 
@@ -111,6 +113,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     pixels = image.pixels
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ShapeError(f"target {image.name}: shape {pixels.shape} {pixels.dtype}; need (H, W) or (H, W, 3) uint8")
+    metric = metric_for(parameters.descriptor.kind, parameters.matching.metric)
     grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     pyramid = build_pyramid(
         grey,
@@ -137,7 +140,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         image.width_m,
         grey,
         described,
-        prepare_gallery(described.descriptors, parameters.matching.metric, described.keypoints.xy),
+        prepare_gallery(described.descriptors, metric, described.keypoints.xy),
         tuple(_alignment(level, count) for level in octaves.levels),
     )
 

@@ -9,8 +9,10 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices
+from imgu_ros.vision.descriptors.brief import describe_brief
 from imgu_ros.vision.descriptors.described import Described
 from imgu_ros.vision.descriptors.orb import describe_orb
+from imgu_ros.vision.descriptors.patch import SIDE, describe_patch
 from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
 from imgu_ros.vision.scale_space.pyramid import Pyramid
@@ -19,14 +21,16 @@ from imgu_ros.vision.scale_space.pyramid import Pyramid
 class DescriptorKind(Choice):
     """Descriptors."""
 
-    ORB = "orb"
-    SIFT = "sift"
-    ROOTSIFT = "rootsift"
+    ORB = "orb"  #: 256 comparisons in a turned patch, 32 bytes
+    SIFT = "sift"  #: 4x4 histograms of 8 gradient directions, 128 numbers
+    ROOTSIFT = "rootsift"  #: the square roots of SIFT's, 128 numbers
+    BRIEF = "brief"  #: 256 comparisons in an upright patch, 32 bytes
+    PATCH = "patch"  #: the pixels of a turned and scaled patch, 169 numbers
 
     @property
     def is_binary(self) -> bool:
         """Whether bits are compared (uint8 rows) rather than numbers (float32 rows)."""
-        return self is DescriptorKind.ORB
+        return self in (DescriptorKind.ORB, DescriptorKind.BRIEF)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +40,7 @@ class Descriptions:
     Attributes
     ----------
     keypoints : those that could be described, N of them
-    descriptors : (N, 32) uint8 for orb, (N, 128) float32 for sift and rootsift
+    descriptors : (N, 32) uint8 for orb and brief, (N, 128) float32 for sift and rootsift, (N, 169) float32 for patch
     """
 
     keypoints: Keypoints
@@ -50,7 +54,7 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
     ----------
     pyramid : of the (H, W) uint8 image that the keypoints were found on
     keypoints : in full-resolution coordinates
-    kind : orb, sift or rootsift
+    kind : see `DescriptorKind`
 
     Raises
     ------
@@ -75,12 +79,23 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
 
 
 def empty_descriptors(kind: DescriptorKind | str) -> Image:
-    """Return no descriptors, (0, 32) uint8 or (0, 128) float32."""
-    return np.zeros((0, 32), np.uint8) if DescriptorKind(kind).is_binary else np.zeros((0, 128), np.float32)
+    """Return no descriptors of a kind, (0, D) uint8 or float32.
+
+    Examples
+    --------
+    >>> empty_descriptors("patch").shape
+    (0, 169)
+    """
+    kind = DescriptorKind(kind)
+    if kind.is_binary:
+        return np.zeros((0, 32), np.uint8)
+    return np.zeros((0, SIDE**2 if kind is DescriptorKind.PATCH else 128), np.float32)
 
 
 _DESCRIBERS: dict[DescriptorKind, Callable[[Image, Corners], Described]] = {
     DescriptorKind.ORB: describe_orb,
     DescriptorKind.SIFT: describe_sift,
     DescriptorKind.ROOTSIFT: describe_rootsift,
+    DescriptorKind.BRIEF: describe_brief,
+    DescriptorKind.PATCH: describe_patch,
 }

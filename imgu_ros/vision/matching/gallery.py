@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Points, as_matrix
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
-from imgu_ros.vision.matching.metrics import Metric, checked_rows, resolved
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, metric_of_rows
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
 
 
@@ -42,11 +42,11 @@ def prepare_gallery(
     Raises
     ------
     ShapeError
-        If rows, data type or metric do not fit each other, a row holds NaN or numbers beyond 1e15, or the places are
+        If rows, data type or metric do not fit each other, a row is not finite, or the places are
         not (M, 2).
     """
     checked_rows(descriptors, "dst")
-    metric = resolved(metric, descriptors)
+    metric = metric_of_rows(descriptors, metric)
     if xy is not None:
         xy = as_matrix(xy, (len(descriptors), 2), "dst_xy")
     if not same_place_px >= 0:

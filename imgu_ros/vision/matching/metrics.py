@@ -1,4 +1,4 @@
-"""Distances between descriptors."""
+"""Distances between descriptors, and which of them make sense for which descriptor (notes 5.1, 5.3, 5.4.2)."""
 
 from __future__ import annotations
 
@@ -6,28 +6,63 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image
-
-#: Of the numbers in a row: their squares are summed in single precision.
-_LARGEST = 1e15
+from imgu_ros.vision.descriptors.describe import DescriptorKind
 
 
 class Metric(Choice):
-    """Distances between descriptors."""
+    """Distances between descriptors a and b; smaller is better."""
 
-    AUTO = "auto"  #: Hamming for uint8 rows, Euclidean for float32 rows
-    EUCLIDEAN = "euclidean"
-    COSINE = "cosine"  #: 1 - cosine of the angle between the rows
-    HAMMING = "hamming"
+    AUTO = "auto"  #: Hamming for uint8 rows, Euclidean for float32 rows; in `metric_for`, NCC for patches
+    EUCLIDEAN = "euclidean"  #: |a - b|
+    COSINE = "cosine"  #: 1 - cosine of the angle between a and b; 0 to 2
+    HAMMING = "hamming"  #: differing bits
+    SSD = "ssd"  #: |a - b|^2
+    ZMSSD = "zmssd"  #: |a - b|^2 of the rows less their means
+    NCC = "ncc"  #: 1 - cosine of the angle between the rows less their means: 1 - normalised cross-correlation
 
 
-def resolved(metric: Metric | str, rows: Image) -> Metric:
-    """Return the metric that compares such rows: `auto` becomes Hamming for uint8 and Euclidean for float32.
+def metrics_of(kind: DescriptorKind | str) -> tuple[Metric, ...]:
+    """Return the metrics that make sense for a kind of descriptor, the one that `auto` stands for first.
+
+    Examples
+    --------
+    >>> [str(metric) for metric in metrics_of("patch")]
+    ['ncc', 'zmssd', 'ssd']
+    """
+    return _METRICS[DescriptorKind(kind)]
+
+
+def metric_for(kind: DescriptorKind | str, metric: Metric | str = Metric.AUTO) -> Metric:
+    """Return the metric for a kind of descriptor: `auto` becomes the best one, another is checked.
+
+    Raises
+    ------
+    ShapeError
+        If the metric makes no sense for the descriptor; the message says why, and which ones do.
+
+    Examples
+    --------
+    >>> str(metric_for("sift", "auto"))
+    'euclidean'
+    """
+    kind, metric = DescriptorKind(kind), Metric(metric)
+    sensible = _METRICS[kind]
+    if metric is Metric.AUTO:
+        return sensible[0]
+    if metric not in sensible:
+        raise ShapeError(f"metric {metric}: {_NATURE[kind]}; need {' or '.join(sensible)}")
+    return metric
+
+
+def metric_of_rows(rows: Image, metric: Metric | str = Metric.AUTO) -> Metric:
+    """Return the metric for rows of unknown kind: `auto` becomes Hamming for uint8 and Euclidean for float32.
 
     Raises
     ------
     ShapeError
         If the metric does not fit the rows' data type.
     """
+    checked_rows(rows, "rows")
     metric = Metric(metric)
     if metric is Metric.AUTO:
         return Metric.HAMMING if rows.dtype == np.uint8 else Metric.EUCLIDEAN
@@ -37,7 +72,7 @@ def resolved(metric: Metric | str, rows: Image) -> Metric:
 
 
 def checked_rows(rows: Image, name: str) -> Image:
-    """Return descriptors when they are (N, D >= 1) uint8 or float32, finite and below 1e15.
+    """Return descriptors when they are (N, D >= 1) uint8 or finite float32.
 
     Raises
     ------
@@ -48,7 +83,23 @@ def checked_rows(rows: Image, name: str) -> Image:
         raise ShapeError(f"{name}: {type(rows).__name__}; need a numpy array")
     if rows.ndim != 2 or not rows.shape[1] or rows.dtype not in (np.uint8, np.float32):
         raise ShapeError(f"{name}: shape {rows.shape}, data type {rows.dtype}; need (N, D >= 1) uint8 or float32")
-    # Squares of larger numbers overflow; NaN compares as not less.
-    if rows.dtype == np.float32 and rows.size and not max(rows.max(), -rows.min()) < _LARGEST:
-        raise ShapeError(f"{name}: NaN or numbers beyond {_LARGEST:g}; need finite numbers")
+    # Extremes find NaN and infinity without an array of flags.
+    if rows.dtype == np.float32 and rows.size and not -np.inf < rows.min() <= rows.max() < np.inf:
+        raise ShapeError(f"{name}: NaN or infinity; need finite numbers")
     return rows
+
+
+_METRICS = {
+    DescriptorKind.ORB: (Metric.HAMMING,),
+    DescriptorKind.BRIEF: (Metric.HAMMING,),
+    DescriptorKind.SIFT: (Metric.EUCLIDEAN, Metric.COSINE),
+    DescriptorKind.ROOTSIFT: (Metric.EUCLIDEAN, Metric.COSINE),
+    DescriptorKind.PATCH: (Metric.NCC, Metric.ZMSSD, Metric.SSD),
+}
+_NATURE = {
+    DescriptorKind.ORB: "orb is bits, which are compared one by one",
+    DescriptorKind.BRIEF: "brief is bits, which are compared one by one",
+    DescriptorKind.SIFT: "sift is a histogram of numbers, already free of brightness and contrast",
+    DescriptorKind.ROOTSIFT: "rootsift is a histogram of numbers, already free of brightness and contrast",
+    DescriptorKind.PATCH: "patch is pixels, which are compared as such",
+}

@@ -46,7 +46,7 @@ def match(
     Raises
     ------
     ShapeError
-        If rows, data types or metric do not fit each other, a row holds NaN or numbers beyond 1e15, or `ratio` is not
+        If rows, data types or metric do not fit each other, a row is not finite, or `ratio` is not
         positive.
     """
     checked_rows(src, "src")
@@ -59,7 +59,7 @@ def match_to_gallery(src: Image, gallery: Gallery, ratio: float = 0.85, mutual: 
     Raises
     ------
     ShapeError
-        If the rows do not fit the gallery's, one holds NaN or numbers beyond 1e15, or `ratio` is not positive.
+        If the rows do not fit the gallery's, one is not finite, or `ratio` is not positive.
     """
     checked_rows(src, "src")
     dst = gallery.descriptors

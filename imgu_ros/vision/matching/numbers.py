@@ -1,4 +1,4 @@
-"""Euclidean and cosine distances between all rows of two sets of numbers, by one product of matrices."""
+"""Distances between all rows of two sets of numbers, by one product of matrices (notes 5.1, 5.3.1, 5.3.3)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from imgu_ros.vision.matching.metrics import Metric
 
 #: What one block of a table holds: some MB, whatever the sizes of the sets.
 _BLOCK_ELEMENTS = 2**20
+#: Metrics by the angle between two rows, and those of rows less their means.
+_ANGULAR = (Metric.COSINE, Metric.NCC)
+_ZERO_MEAN = (Metric.ZMSSD, Metric.NCC)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,13 +26,14 @@ class NumberRows:
     Attributes
     ----------
     metric : neither auto nor hamming
-    rows : (M, D) float32; of unit length for cosine
-    halves : (M,) half the squared length of each
+    rows : (M, D), as the metric compares them: without their means, of unit length; float32 where products of them
+        are exact, else float64
+    origin : (D,) what was subtracted from every row, for larger rows to lose no digits
     """
 
     metric: Metric
-    rows: NDArray[np.float32]
-    halves: NDArray[np.float32]
+    rows: NDArray[Any]
+    origin: Floats
 
     def tables(self, src: Image) -> Iterator[NDArray[Any]]:
         """Yield numbers that are larger the nearer two rows are, for all pairs; by blocks of successive rows.
@@ -40,32 +44,60 @@ class NumberRows:
 
         Yields
         ------
-        (n, M) float32, the n sum up to N. O(N M D).
+        (n, M) float32 or float64, the n sum up to N. O(N M D).
         """
-        prepared = number_rows(src, self.metric)
-        height = max(1, _BLOCK_ELEMENTS // len(self.rows))
-        for start in range(0, len(src), height):
+        a, b = _compared(src, self.metric, self.origin), self.rows
+        if a.dtype != b.dtype:
+            a, b = a.astype(np.float64), b.astype(np.float64)
+        halves = [np.einsum("nd,nd->n", rows, rows) / 2 for rows in (a, b)]
+        height = max(1, _BLOCK_ELEMENTS // max(1, len(b)))
+        for start in range(0, len(a), height):
             some = slice(start, start + height)
-            table = prepared.rows[some] @ self.rows.T
-            if self.metric is not Metric.COSINE:
+            table = a[some] @ b.T
+            if self.metric not in _ANGULAR:
                 # -|a - b|^2 / 2 = a b - |b|^2 / 2 - |a|^2 / 2; |a| is the same along a row, not for the mutual check.
-                table -= self.halves
-                table -= prepared.halves[some, None]
+                table -= halves[1]
+                table -= halves[0][some, None]
             yield table
 
     def distances(self, src: Image, index: Indices) -> Floats:
         """Return the distance of each row of `src`, (N, D) float32, to the one of its index, (N,), as float64."""
-        a, b = number_rows(src, self.metric).rows, self.rows[index]
+        a, b = _compared(src, self.metric, self.origin), self.rows[index]
         squared = np.square(a.astype(np.float64) - b).sum(axis=1)
-        if self.metric is Metric.COSINE:
+        if self.metric in _ANGULAR:
             # |a - b|^2 / 2 = 1 - a b for unit rows. A row of zeros has no direction: its product with any other is 0.
             return np.asarray(np.where(a.any(axis=1) & b.any(axis=1), squared / 2, 1.0))
-        return np.asarray(np.sqrt(squared))
+        return np.asarray(np.sqrt(squared) if self.metric is Metric.EUCLIDEAN else squared)
 
 
 def number_rows(rows: Image, metric: Metric) -> NumberRows:
     """Prepare (M, D) float32 rows for comparison."""
-    if metric is Metric.COSINE:
-        length = np.linalg.norm(rows, axis=1, keepdims=True)
-        rows = np.asarray(rows / np.where(length > 0, length, 1), np.float32)
-    return NumberRows(metric, rows, np.einsum("nd,nd->n", rows, rows) / 2)
+    origin = np.zeros(rows.shape[1])
+    if len(rows) and metric in (Metric.EUCLIDEAN, Metric.SSD) and not _are_exact(rows):
+        origin = rows.mean(axis=0, dtype=np.float64)
+    return NumberRows(metric, _compared(rows, metric, origin), origin)
+
+
+def _compared(rows: Image, metric: Metric, origin: Floats) -> NDArray[Any]:
+    if metric in (Metric.EUCLIDEAN, Metric.SSD):
+        if not origin.any() and _are_exact(rows):
+            return rows
+        return np.asarray(rows - origin)
+    numbers = rows.astype(np.float64)
+    if metric in _ZERO_MEAN:
+        # A mean of equal numbers may differ from them in the last digit; differences to one of them are exactly 0.
+        numbers -= numbers[:, :1].copy()
+        numbers -= numbers.mean(axis=1, keepdims=True)
+    if metric in _ANGULAR:
+        length = np.linalg.norm(numbers, axis=1, keepdims=True)
+        numbers /= np.where(length > 0, length, 1)
+    return numbers
+
+
+def _are_exact(rows: Image) -> bool:
+    """Whether the rows are whole numbers so small that sums of their products are exact in float32, as SIFT's are."""
+    if not rows.size:
+        return True
+    largest = float(max(rows.max(), -rows.min()))
+    # |a|^2 / 2 may end in a half: 2^23 of them, not 2^24.
+    return largest**2 * rows.shape[1] < 2**23 and bool((rows == np.rint(rows)).all())
