@@ -1,0 +1,24 @@
+"""Scale space: Gaussians of three kinds, and pyramids.
+
+A picture at scale sigma is the picture smoothed by a Gaussian; smoothing again adds variances, sigma_t^2 = sigma_c^2 +
+sigma_f^2. A pyramid keeps each octave at half the size of the one before.
+
+| module | holds | use it when |
+|---|---|---|
+| `gaussian` | `smooth`: any kernel, any border, uint8, uint16, float32 | a picture is to be smoothed |
+| `kernels` | the sampled Gaussian, and the discrete one, T(n, t) = exp(-t) I_n(t) | the numbers themselves are needed |
+| `recursive` | an infinite response, at a time that does not depend on sigma | sigma is large |
+| `pyramid` | `build_pyramid`: octaves, scales between, or bands; where each pixel lies | features at many sizes |
+| `laplacian` | bands that add up to the picture again, bit for bit | editing, fusing or coding by scales |
+
+The kernels, and which to take:
+
+- `sampled`: fastest up to sigma 5 px or so. Below 0.8 px its variance falls short of sigma^2.
+- `discrete`: exact at any sigma; T(., s) * T(., t) = T(., s + t). For small steps of scale, as between fine levels.
+- `recursive`: about as long for sigma 50 as for sigma 1; 0.03 % of its peak off the Gaussian. For sigma above 5 px.
+
+**In the chain**: `pyramid.kind` (`coarse`, `fine`, `laplacian`), `pyramid.kernel` (`sampled`, `discrete`, `recursive`),
+`pyramid.levels`, `pyramid.scales_per_octave`, `pyramid.max_side_px`; `preprocess.smoothing_px` smooths beforehand.
+
+Sources: notes 3.1 to 3.3; Burt & Adelson 1983; Lindeberg 1990, 1994; Deriche 1993; Farneback & Westin 2006.
+"""

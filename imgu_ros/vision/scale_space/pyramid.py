@@ -1,16 +1,22 @@
-"""Gaussian pyramids with coarse and with fine scales (notes 3.2.1, 3.2.2; Burt & Adelson 1983; Lindeberg 1994)."""
+"""Gaussian pyramids with coarse and with fine scales, and their bands (notes 3.1, 3.2; Burt & Adelson 1983)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Floats, Image, Points, as_image
+from imgu_ros.types import Choice, Floats, Image, Points, as_image, as_points
+from imgu_ros.vision.processing.interpolation import Interpolation, resized
+from imgu_ros.vision.processing.points import full_scale, require_range
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
+
+#: Contrast of a band: details are fainter than pictures.
+_BAND_CONTRAST = 2.0
 
 #: Blur that a sampled image is taken to have, in its own pixels (Lowe 2004, section 3.3).
 CAMERA_SIGMA_PX = 0.5
@@ -21,6 +27,7 @@ class PyramidKind(Choice):
 
     COARSE = "coarse"  #: one level an octave
     FINE = "fine"  #: several levels an octave
+    LAPLACIAN = "laplacian"  #: one level an octave, as bands around mid-grey: see `band_passed`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,11 +51,11 @@ class Level:
 
     def to_full(self, xy: Points) -> Points:
         """Map points (N, 2) of this level to the full-resolution image."""
-        return (xy + 0.5) * self.step - 0.5
+        return (as_points(xy, "xy") + 0.5) * self.step - 0.5
 
     def from_full(self, xy: Points) -> Points:
         """Map points (N, 2) of the full-resolution image to this level."""
-        return (xy + 0.5) / self.step - 0.5
+        return (as_points(xy, "xy") + 0.5) / self.step - 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +82,7 @@ def build_pyramid(
     Parameters
     ----------
     image : (H, W), uint8, uint16 or float32
-    kind : coarse (scale 2 from level to level) or fine (2^(1/scales_per_octave))
+    kind : coarse (scale 2 from level to level), fine (2^(1/scales_per_octave)) or laplacian (coarse, as bands)
     levels : most levels
     scales_per_octave : levels in an octave; for `fine`
     max_side_px : halve the image before level 0 until its longer side is no larger; None: level 0 is the image
@@ -90,32 +97,122 @@ def build_pyramid(
     image = as_image(image)
     if levels < 1 or scales_per_octave < 1:
         raise ShapeError(f"levels, scales_per_octave: {levels}, {scales_per_octave}; need at least 1")
-    kernel = GaussianKernel(kernel)
-    per_octave = scales_per_octave if PyramidKind(kind) is PyramidKind.FINE else 1
+    kind, kernel = PyramidKind(kind), GaussianKernel(kernel)
+    per_octave = scales_per_octave if kind is PyramidKind.FINE else 1
     full = np.array(image.shape[1::-1], np.float64)
     base = image
     while max_side_px is not None and max(base.shape) > max_side_px and min(base.shape) > 1:
-        base = _reduced(base, 2.0, kernel)
-    built: list[Level] = []
-    while len(built) < levels:
-        for k in range(min(per_octave, levels - len(built))):
-            picture = base if k == 0 else _reduced(base, 2 ** (k / per_octave), kernel)
-            if built and min(picture.shape) < min_side_px:
-                return Pyramid(tuple(built))
-            built.append(Level(picture, full / np.array(picture.shape[1::-1])))
-        if min(base.shape) < 2 * min_side_px:
-            break
-        base = _reduced(base, 2.0, kernel)
-    return Pyramid(tuple(built))
+        base = reduced(base, 2.0, kernel)
+    pictures = _pictures(base, per_octave, levels, min_side_px, kernel)
+    pyramid = Pyramid(tuple(Level(picture, full / np.array(picture.shape[1::-1])) for picture in pictures))
+    return band_passed(pyramid) if kind is PyramidKind.LAPLACIAN else pyramid
 
 
-def _reduced(image: Image, factor: float, kernel: GaussianKernel) -> Image:
-    """Smooth and resample an image to 1 / factor of its size, 1 < factor <= 2."""
+def band_passed(pyramid: Pyramid) -> Pyramid:
+    """Return each level without what the next octave shows of it, around mid-grey: 128 is no detail.
+
+    Every level, of a coarse or a fine pyramid, becomes clamp(2 (G - enlarged(reduced(G))) + 128): a band of one octave,
+    indifferent to slow changes of light. For float32 mid-grey is 0.5, for uint16 32768.
+
+    Parameters
+    ----------
+    pyramid : of (H, W) images
+
+    Notes
+    -----
+    Source: notes 3.2.3.
+
+    Examples
+    --------
+    >>> flat = build_pyramid(np.full((64, 64), 77, np.uint8), levels=2)
+    >>> [int(level.image.min()) for level in band_passed(flat).levels]
+    [128, 128]
+    """
+    return Pyramid(tuple(Level(_band(as_image(level.image)), level.step) for level in pyramid.levels))
+
+
+def _band(image: Image) -> Image:
+    require_range(image, 16.0)
+    low = enlarged(reduced(image), image.shape[1::-1])
+    full = full_scale(image)
+    middle = (full + 1) / 2 if image.dtype.kind == "u" else 0.5
+    # One pass, saturating.
+    band = cv2.addWeighted(image, _BAND_CONTRAST, low, -_BAND_CONTRAST, middle)
+    return np.clip(band, 0, 1) if image.dtype.kind == "f" else band
+
+
+def reduced(image: Image, factor: float = 2.0, kernel: GaussianKernel | str = GaussianKernel.SAMPLED) -> Image:
+    """Smooth an image and resample it to 1 / factor of its size, so that its blur in its own pixels stays the same.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3), uint8, uint16 or float32
+    factor : 1 to 2, more than 1
+    kernel : Gaussian that smooths
+
+    Returns
+    -------
+    Each side divided and rounded (halves down, at least 1 px); pixel areas are aligned, see `Level`.
+
+    Raises
+    ------
+    ShapeError
+        If `image` is not such an image, the factor lies outside its range or the kernel is unknown.
+
+    Notes
+    -----
+    Source: notes 3.1.2, 3.2.1.
+
+    Examples
+    --------
+    >>> reduced(np.full((6, 9), 50, np.uint8)).tolist()
+    [[50, 50, 50, 50], [50, 50, 50, 50], [50, 50, 50, 50]]
+    """
+    image = as_image(image, channels=(1, 3))
+    require_range(image, 4.0)
+    if not 1 < factor <= 2:
+        raise ShapeError(f"factor: {factor!r}; need more than 1, at most 2")
     # Linear interpolation half-way between pixels (factor 2) is a box of two: variance 1/4;
     # at phases spread evenly over a pixel its mean variance is 1/6.
     added = 0.25 if factor == 2.0 else 1 / 6
     variance = CAMERA_SIGMA_PX**2 * (factor**2 - 1) - added
     smoothed = smooth(image, math.sqrt(variance), kernel) if variance > 0 else image
-    height, width = image.shape
+    height, width = image.shape[:2]
     size = max(1, round(width / factor - 1e-9)), max(1, round(height / factor - 1e-9))
     return cv2.resize(smoothed, size, interpolation=cv2.INTER_LINEAR)
+
+
+def enlarged(image: Image, size: Sequence[int]) -> Image:
+    """Enlarge an image to a size, linearly; pixel areas are aligned: the inverse of `reduced`, but for what it lost.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3), uint8, uint16 or float32
+    size : (width, height), px
+
+    Raises
+    ------
+    ShapeError
+        As `resized`.
+
+    Examples
+    --------
+    >>> enlarged(np.array([[0, 100]], np.uint8), (4, 1)).tolist()
+    [[0, 25, 75, 100]]
+    """
+    return resized(image, size, Interpolation.LINEAR)
+
+
+def _pictures(base: Image, per_octave: int, count: int, min_side_px: int, kernel: GaussianKernel) -> list[Image]:
+    """Return at most `count` pictures from fine to coarse."""
+    built: list[Image] = []
+    while len(built) < count:
+        for k in range(min(per_octave, count - len(built))):
+            picture = base if k == 0 else reduced(base, 2 ** (k / per_octave), kernel)
+            if built and min(picture.shape) < min_side_px:
+                return built
+            built.append(picture)
+        if min(base.shape) < 2 * min_side_px:
+            break
+        base = reduced(base, 2.0, kernel)
+    return built

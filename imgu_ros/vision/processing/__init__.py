@@ -1,0 +1,26 @@
+"""Operations on pixels: points, histograms, convolution, derivatives, edges and warps.
+
+Everything here takes an image, `(H, W)` or `(H, W, 3)` in uint8, uint16 or float32 in [0, 1], and gives a new one.
+
+| module | holds | use it when |
+|---|---|---|
+| `points` | brightness and contrast with clamping, gamma, grey from RGB by weights | too dark, too flat, in colour |
+| `thresholding` | fixed threshold, Otsu's threshold | the picture is two things: ink and paper |
+| `histograms` | histogram with any number of bins, equalisation, CLAHE | light differs between or within pictures |
+| `borders` | what stands outside the picture: constant, periodic, reflected, mirrored, replicated | every filter |
+| `convolution` | true convolution (flipped kernel) with any kernel, mean filter | a filter of your own |
+| `separability` | rank-1 test, split of any kernel into rows and columns | to know why a kernel is fast or slow |
+| `derivatives` | Sobel, Scharr and Gaussian derivatives in grey values per pixel | slopes, edge directions |
+| `edges` | edge strength, its threshold, Canny | outlines |
+| `interpolation` | values between pixels, resizing: nearest, linear, cubic, area | sub-pixel samples, scaling |
+| `warping` | projective, affine, similarity warps; rotation about a point, of the whole picture | another view |
+
+Smoothing by Gaussians is in the next chapter, `scale_space`.
+
+**In the chain** the parameters `preprocess.*` reach brightness, contrast, gamma, equalisation, smoothing, edge strength
+and thresholds: they change the picture on which keypoints are sought and described, of targets and frames alike, and
+are off by default. Alignment (`refinement.*`, `tracking.*`) matches brightness and contrast itself and keeps to the
+picture as it was: its precision lives in grey ramps that thresholds and clamping destroy.
+
+Sources: notes 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
+"""
