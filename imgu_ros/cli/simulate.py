@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from imgu_ros.bags.recording import BagFormat
     from imgu_ros.perception.targets import TargetImage
+    from imgu_ros.simulate.capture import Capture
     from imgu_ros.simulate.sequence import Simulation
     from imgu_ros.vision.camera.intrinsics import Camera
 
@@ -60,6 +61,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--full-well", type=float, default=10_000.0, metavar="E", help="electrons that saturate (default 10000)")
     add("--read-noise", type=float, default=4.0, metavar="E", help="electrons (default 4)")
     add("--black-level", type=float, default=0.0, metavar="DN", help="digital number of no light (default 0)")
+
+    group = parser.add_argument_group(
+        "shutter, lens and exposure",
+        "Stamp and truth of a frame are of the middle of the exposure of the middle of the picture.",
+    )
+    add = group.add_argument
+    add("--exposure-ms", type=float, default=0.0, metavar="MS",
+        help="time for which each row is exposed while the camera moves on: motion blur (default 0, an instant)")
+    add("--row-time-us", type=float, default=0.0, metavar="US",
+        help="rolling shutter: from one row to the next; negative from the bottom up (default 0, global shutter)")
+    add("--defocus-px", type=float, default=0.0, metavar="PX", help="diameter of the disc that every point becomes")
+    add("--f-number", type=float, metavar="N",
+        help="thin lens of this aperture, whose blur depends on the depth (default: a pinhole)")
+    add("--focus-m", type=float, metavar="M",
+        help="depth that the lens is focused at (default: the targets' centre, in every frame)")
+    add("--pixel-pitch-um", type=float, default=3.45, metavar="UM",
+        help="distance of pixels on the sensor, which makes the f-number an aperture (default 3.45)")
+    add("--ev", type=_stops, default=(0.0,), metavar="EV[,EV...]",
+        help="exposure compensation in stops; several: of successive equal parts of the sequence (default 0)")
 
     group = parser.add_argument_group("bag")
     add = group.add_argument
@@ -128,9 +148,27 @@ def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulat
         sensor=Sensor(bits, arguments.full_well, arguments.read_noise, arguments.black_level),
         motion=Motion(turns=arguments.turns, tilt_rad=math.radians(arguments.tilt), zoom=arguments.zoom),
         camera=_camera(arguments),
+        capture=_capture(arguments),
     )
     check_simulation(simulation)  # before pictures are made, which takes a while
     return simulation
+
+
+def _capture(arguments: argparse.Namespace) -> Capture:
+    from imgu_ros.errors import ParameterError
+    from imgu_ros.simulate.capture import Capture
+
+    if arguments.f_number is not None and not arguments.f_number > 0:
+        raise ParameterError(f"f-number: {arguments.f_number:g}; need more than 0")
+    return Capture(
+        exposure_s=arguments.exposure_ms * 1e-3,
+        row_time_s=arguments.row_time_us * 1e-6,
+        defocus_px=arguments.defocus_px,
+        f_number=arguments.f_number or 0.0,
+        focus_m=arguments.focus_m,
+        pitch_m=arguments.pixel_pitch_um * 1e-6,
+        ev=arguments.ev,
+    )
 
 
 def _camera(arguments: argparse.Namespace) -> Camera | None:
@@ -168,3 +206,10 @@ def _size(text: str) -> tuple[int, int]:
     if not match:
         raise argparse.ArgumentTypeError(f"{text!r}; need WIDTHxHEIGHT, such as 1280x720")
     return int(match[1]), int(match[2])
+
+
+def _stops(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; need numbers, separated by commas, such as 0,-1,1.5") from None

@@ -12,21 +12,21 @@ from imgu_ros.vision.camera.rigid import RigidTransform
 def image_from_template(K: Matrix3, camera_from_target: RigidTransform, target_from_template: Matrix3) -> Matrix3:
     """Return H_image_template of a printed plane: unit Frobenius norm, w > 0 at the target's centre.
 
-    A point of the target's plane z = 0 projects by K [r1 r2 t] (notes 8.2.1).
+    A point of the target's plane z = 0 projects by K [r1 r2 t] (notes 8.1.5). Of many poses, R (N, 3, 3) and t (N, 3),
+    it is (N, 3, 3).
 
     Raises
     ------
     ShapeError
         If the target's centre is not in front of the camera.
     """
-    if not camera_from_target.t[2] > 0:
-        raise ShapeError(
-            f"target: its centre is at z {camera_from_target.t[2]:g} m; need z > 0 (in front of the camera)"
-        )
-    plane = np.column_stack((camera_from_target.R[:, 0], camera_from_target.R[:, 1], camera_from_target.t))
+    R, t = camera_from_target.R, camera_from_target.t
+    if not (t[..., 2] > 0).all():
+        raise ShapeError(f"target: its centre is at z {t[..., 2].min():g} m; need z > 0 (in front of the camera)")
+    plane = np.stack((R[..., 0], R[..., 1], t), axis=-1)
     H: Matrix3 = K @ plane @ target_from_template
     # w at the centre is the depth of the target's origin, positive by the check above.
-    return H / np.linalg.norm(H)
+    return H / (np.linalg.norm(H) if H.ndim == 2 else np.linalg.norm(H, axis=(1, 2), keepdims=True))
 
 
 def target_from_template(size: tuple[int, int], width_m: float) -> Matrix3:

@@ -47,10 +47,13 @@ class PixelGrid:
 
         Parameters
         ----------
-        H_plane_image : (3, 3), from ideal pixels, its third row positive in front of the camera
+        H_plane_image : (3, 3), from ideal pixels, its third row positive in front of the camera; or (height, 3, 3),
+            one for each row of the image
         rows, columns : with start, stop and step
         """
         x, y = self._positions(rows, columns)
+        if H_plane_image.ndim == 3:
+            return self._map_by_rows(H_plane_image[rows], x, y, rows, columns)
         # About the block's first pixel, where all numbers are small enough for single precision.
         x0, y0 = float(x.flat[0]), float(y.flat[0])
         w0 = float(H_plane_image[2] @ (x0, y0, 1.0))
@@ -68,13 +71,33 @@ class PixelGrid:
         v = (h[1, 0] * x + (h[1, 1] * y + h[1, 2])) * inverse
         ux, uy = (h[0, 0] - u * h[2, 0]) * inverse, (h[0, 1] - u * h[2, 1]) * inverse
         vx, vy = (h[1, 0] - v * h[2, 0]) * inverse, (h[1, 1] - v * h[2, 1]) * inverse
-        if self._ideal is not None:
-            xx, xy, yx, yy = (part[rows, columns] for part in self._ideal[2:])
-            ux, uy = ux * xx + uy * yx, ux * xy + uy * yy
-            vx, vy = vx * xx + vy * yx, vx * xy + vy * yy
+        ux, uy = self._by_raw_pixel(ux, uy, rows, columns)
+        vx, vy = self._by_raw_pixel(vx, vy, rows, columns)
         u += np.float32(u0)
         v += np.float32(v0)
         return PlaneMap(u, v, ux, uy, vx, vy, front)
+
+    def _map_by_rows(self, H: Floats, x: Floats, y: Floats, rows: slice, columns: slice) -> PlaneMap:
+        """Map with a homography for each row, (rows, 3, 3); a pixel's own area sees one instant."""
+        h = [[H[:, i, j, None] for j in range(3)] for i in range(3)]
+        w = h[2][0] * x + h[2][1] * y + h[2][2]
+        front = w > 0
+        inverse = 1 / np.where(front, w, 1.0)
+        u = (h[0][0] * x + h[0][1] * y + h[0][2]) * inverse
+        v = (h[1][0] * x + h[1][1] * y + h[1][2]) * inverse
+        ux, uy = (h[0][0] - u * h[2][0]) * inverse, (h[0][1] - u * h[2][1]) * inverse
+        vx, vy = (h[1][0] - v * h[2][0]) * inverse, (h[1][1] - v * h[2][1]) * inverse
+        ux, uy = self._by_raw_pixel(ux, uy, rows, columns)
+        vx, vy = self._by_raw_pixel(vx, vy, rows, columns)
+        single = [a.astype(np.float32) for a in (u, v, ux, uy, vx, vy)]
+        return PlaneMap(single[0], single[1], single[2], single[3], single[4], single[5], front)
+
+    def _by_raw_pixel(self, dx: Image, dy: Image, rows: slice, columns: slice) -> tuple[Image, Image]:
+        """Turn derivatives by the ideal pixel into those by the raw pixel."""
+        if self._ideal is None:
+            return dx, dy
+        xx, xy, yx, yy = (part[rows, columns] for part in self._ideal[2:])
+        return dx * xx + dy * yx, dx * xy + dy * yy
 
     def _positions(self, rows: slice, columns: slice) -> tuple[Floats, Floats]:
         """Return the ideal x and y of a block's pixels, in shapes that broadcast to it."""

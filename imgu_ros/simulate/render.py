@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.perception.targets import TargetImage
+from imgu_ros.simulate.boxes import boxes, strips
+from imgu_ros.simulate.capture import View
 from imgu_ros.simulate.coverage import rectangle_coverage
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.levels import Levels
 from imgu_ros.simulate.optics import PixelGrid, PlaneMap
 from imgu_ros.simulate.scene import Scene, size_of, template_matrix
 from imgu_ros.simulate.wall import WALL_REFLECTANCE, Wall
-from imgu_ros.types import Floats, Image, Matrix3
+from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 
 #: Samples along each side of a pixel.
 SAMPLES = 3
-
-_STRIP_ROWS = 128
-_EDGE_POINTS = 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +61,8 @@ class Renderer:
         self._levels = [Levels(target.pixels) for target in scene.targets]
         self._wall = Wall(scene.radius_m)
 
-    def radiance(self, camera_from_scene: RigidTransform) -> Image:
-        """Render one view.
+    def radiance(self, view: RigidTransform | View) -> Image:
+        """Render one view: of the camera at a pose, `camera_from_scene`, or as a `View` says.
 
         Each pixel is the mean over its area: SAMPLES x SAMPLES samples of a texture level whose pixels are about as
         large as the samples are apart; a target's edge covers it exactly.
@@ -78,22 +76,32 @@ class Renderer:
         ShapeError
             If a target's centre is behind the camera.
         """
+        if isinstance(view, RigidTransform):
+            view = View(self.camera.K, view)
         shape = (self.camera.height, self.camera.width)
         out = np.empty(shape if self._channels == 1 else (*shape, self._channels), np.float32)
-        self._draw_wall(out, camera_from_scene)
-        poses = [camera_from_scene.after(pose) for pose in self.scene.poses]
+        self._draw_wall(out, view)
+        poses = [view.camera_from_scene.after(pose) for pose in self.scene.poses]
         # The far ones first: a nearer one hides them.
-        for index in sorted(range(len(poses)), key=lambda i: -float(poses[i].t[2])):
-            self._draw_target(out, self.scene.targets[index], self._levels[index], poses[index])
+        for index in sorted(range(len(poses)), key=lambda i: -float(np.mean(poses[i].t[..., 2]))):
+            self._draw_target(out, self.scene.targets[index], self._levels[index], view.K, poses[index])
         return out
 
-    def _draw_wall(self, out: Image, camera_from_scene: RigidTransform) -> None:
+    def mean_radiance(self, views: Sequence[View]) -> Image:
+        """Render the mean of at least one view: what a pixel sees over time and aperture."""
+        out = self.radiance(views[0])
+        for view in views[1:]:
+            out += self.radiance(view)
+        out *= np.float32(1 / len(views))
+        return out
+
+    def _draw_wall(self, out: Image, view: View) -> None:
         """Fill the picture with the wall, whose texture is coarse: one sample for each 2x2 quad is enough."""
         height, width = out.shape[:2]
-        H_image_wall = self._wall.image_from_wall(self.camera.K, camera_from_scene, self.scene.wall_m)
+        H_image_wall = self._wall.image_from_wall(view.K, view.camera_from_scene, self.scene.wall_m)
         H_wall_image = np.asarray(np.linalg.inv(H_image_wall), np.float64)
         half = np.empty(((height + 1) // 2, (width + 1) // 2), np.float32)
-        for rows in _strips(0, height):
+        for rows in strips(0, height):
             level = self._wall.level_for(2 * self._largest_step(H_wall_image, rows, slice(0, width)))
             H = self._wall.level_from_wall(level) @ H_wall_image
             on_wall = self._grid.plane_map(H, slice(rows.start, rows.stop, 2), slice(0, width, 2))
@@ -105,11 +113,10 @@ class Renderer:
                 block = _channel(out, where, channel)
                 np.multiply(rough[where], np.float32(WALL_REFLECTANCE[name]), out=block)
 
-    def _draw_target(self, out: Image, target: TargetImage, levels: Levels, pose: RigidTransform) -> None:
-        H_image_template = image_from_template(self.camera.K, pose, template_matrix(target))
+    def _draw_target(self, out: Image, target: TargetImage, levels: Levels, K: Matrix3, pose: RigidTransform) -> None:
+        H_image_template = image_from_template(K, pose, template_matrix(target))
         H_template_image = np.asarray(np.linalg.inv(H_image_template), np.float64)
-        outline = _outline_in_image(H_image_template, size_of(target), self.camera)
-        for rows, columns in _boxes(outline, self.camera):
+        for rows, columns in boxes(H_image_template, size_of(target), self.camera):
             level = levels.level_for(self._largest_step(H_template_image, rows, columns) / SAMPLES)
             A = levels.level_from_template(level)
             width, height = A[0, 0] * levels.size[0], A[1, 1] * levels.size[1]
@@ -175,55 +182,3 @@ def _site_slices(sites: _Sites, rows: slice, columns: slice) -> tuple[slice, sli
 def _channel(out: Image, where: tuple[slice, slice], channel: int) -> Image:
     block: Image = out[where] if out.ndim == 2 else out[*where, channel]
     return block
-
-
-def _strips(start: int, stop: int) -> Iterator[slice]:
-    for row in range(start - start % 2, stop, _STRIP_ROWS):
-        yield slice(row, min(row + _STRIP_ROWS, stop))
-
-
-def _outline_in_image(H: Matrix3, size: tuple[int, int], camera: Camera) -> Floats | None:
-    """Return the closed outline, (N, 2) raw px, with points along each edge; None when a part is behind the camera."""
-    left, top, right, bottom = -0.5, -0.5, size[0] - 0.5, size[1] - 0.5
-    corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
-    s = np.linspace(0, 1, _EDGE_POINTS, endpoint=False)[:, None]
-    edges = np.concatenate([a + s * (b - a) for a, b in pairwise(corners)] + [corners[:1]])
-    ideal = np.column_stack((edges, np.ones(len(edges)))) @ H.T
-    if not (ideal[:, 2] > 1e-3 * ideal[:, 2].max()).all():
-        return None
-    points: Floats = ideal[:, :2] / ideal[:, 2:]
-    if not camera.is_distorted:
-        return points
-    # Far outside the image a polynomial lens may fold back: only an outline near the image is trusted.
-    near = (
-        np.abs(points - (camera.width / 2, camera.height / 2)) < 1.5 * np.array([camera.width, camera.height])
-    ).all()
-    return camera.raw_pixels(points) if near else None
-
-
-def _boxes(outline: Floats | None, camera: Camera) -> Iterator[tuple[slice, slice]]:
-    """Yield (rows, columns), from even coordinates, that together hold the outline's inside."""
-    if outline is None:
-        for rows in _strips(0, camera.height):
-            yield rows, slice(0, camera.width)
-        return
-    top, bottom = max(0, math.floor(outline[:, 1].min()) - 2), min(camera.height, math.ceil(outline[:, 1].max()) + 3)
-    a, b = outline[:-1], outline[1:]
-    low, high = np.minimum(a[:, 1], b[:, 1]), np.maximum(a[:, 1], b[:, 1])
-    run = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
-    for rows in _strips(top, bottom):
-        first, last = rows.start - 2.0, rows.stop + 2.0
-        crosses = (low <= last) & (high >= first)
-        if not crosses.any():
-            continue
-        # Where each edge enters and leaves the strip.
-        level = a[:, 1] == b[:, 1]
-        ends = []
-        for y in (first, last):
-            t = np.clip((y - a[:, 1]) / run, 0, 1)
-            ends.append(np.where(level, a[:, 0], a[:, 0] + t * (b[:, 0] - a[:, 0]))[crosses])
-        ends += [b[:, 0][crosses & level]]
-        x = np.concatenate(ends)
-        left, right = max(0, math.floor(x.min()) - 2), min(camera.width, math.ceil(x.max()) + 3)
-        if left < right:
-            yield rows, slice(left - left % 2, right)

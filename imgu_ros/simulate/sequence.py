@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import ParameterError
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.targets import TargetImage
+from imgu_ros.simulate.capture import Capture, check_capture, views_of
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.path import Motion, camera_from_scene_at
 from imgu_ros.simulate.render import Renderer
@@ -21,12 +22,15 @@ from imgu_ros.simulate.scene import Scene, arrange_scene, size_of, template_matr
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import Truth, points_in_image, target_grid
 from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_camera
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
-from imgu_ros.vision.formation.sensor import Sensor, expose
+from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 
-#: Light on a white surface, as a share of what saturates the sensor.
+#: Light on a white surface, as a share of what saturates the sensor, without exposure compensation.
 _EXPOSURE = 0.9
+#: Part of the motion over which the path is well described by one cubic.
+_SMOOTH_PROGRESS = 0.01
 #: A plausible lens for each model.
 TYPICAL_LENSES: dict[DistortionModel, tuple[float, ...]] = {
     DistortionModel.PLUMB_BOB: (-0.26, 0.09, 0.0008, -0.0005, -0.01),
@@ -49,6 +53,7 @@ class Simulation:
     sensor : noise and bit depth; None: no noise, 16 bits
     motion : ranges of the camera's path
     camera : intrinsics; None: 61 degrees wide, without distortion
+    capture : shutter, aperture, exposure; by default an instant seen through a pinhole
     start_ns : stamp of the first frame
     frame_id : the camera's optical frame
     """
@@ -62,6 +67,7 @@ class Simulation:
     sensor: Sensor | None = field(default_factory=Sensor)
     motion: Motion = field(default_factory=Motion)
     camera: Camera | None = None
+    capture: Capture = field(default_factory=Capture)
     start_ns: int = 1_700_000_000_000_000_000
     frame_id: str = "camera_optical_frame"
 
@@ -150,11 +156,21 @@ def stamp_ns(simulation: Simulation, index: int) -> int:
 
 def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, renderer: Renderer) -> SimulatedFrame:
     stamp = stamp_ns(simulation, index)
-    progress = index / max(simulation.frames - 1, 1)
-    camera_from_scene = camera_from_scene_at(progress, simulation.motion, camera, scene.radius_m, simulation.seed)
-    light = renderer.radiance(camera_from_scene) * np.float32(_EXPOSURE)
+    steps = max(simulation.frames - 1, 1)
+
+    def pose_at(seconds: float) -> RigidTransform:
+        progress = index / steps + seconds * simulation.rate_hz / steps
+        return camera_from_scene_at(progress, simulation.motion, camera, scene.radius_m, simulation.seed)
+
+    camera_from_scene, capture = pose_at(0.0), simulation.capture
+    if capture.is_ideal:
+        radiance = renderer.radiance(camera_from_scene)
+    else:
+        smooth_s = _SMOOTH_PROGRESS * steps / simulation.rate_hz
+        radiance = renderer.mean_radiance(views_of(capture, pose_at, smooth_s, camera, scene))
+    light = radiance * np.float32(_EXPOSURE * capture.brightness(index, simulation.frames))
     if simulation.sensor is None:
-        pixels = np.round(np.clip(light, 0, 1) * 65535).astype(np.uint16)
+        pixels = quantise(light, 16)
     else:
         pixels = expose(light, simulation.sensor, np.random.default_rng([simulation.seed, index, 0x5E45]))
     pixels.flags.writeable = False
@@ -170,7 +186,7 @@ def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, ren
 
 
 def check_simulation(simulation: Simulation) -> None:
-    """Raise ParameterError when size, frames, rate or camera are impossible."""
+    """Raise ParameterError when size, frames, rate, capture or camera are impossible."""
     width, height = simulation.width, simulation.height
     if not (32 <= width <= 16384 and 32 <= height <= 16384):
         raise ParameterError(f"size: {width}x{height}; need 32x32 to 16384x16384")
@@ -180,6 +196,7 @@ def check_simulation(simulation: Simulation) -> None:
         raise ParameterError(f"frames: {simulation.frames}; need 1 or more")
     if not (math.isfinite(simulation.rate_hz) and 1e-3 <= simulation.rate_hz <= 1e5):
         raise ParameterError(f"rate: {simulation.rate_hz:g} Hz; need 0.001 to 100000 Hz")
+    check_capture(simulation.capture, height, simulation.rate_hz)
     camera = simulation.camera
     if camera is not None and (camera.width, camera.height) != (width, height):
         raise ParameterError(f"camera: {camera.width}x{camera.height}; need the image size, {width}x{height}")

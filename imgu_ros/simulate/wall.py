@@ -29,9 +29,9 @@ class Wall:
         self._levels = _levels()
 
     def image_from_wall(self, K: Matrix3, camera_from_scene: RigidTransform, wall_m: float) -> Matrix3:
-        """Return the (3, 3) map from texels to ideal pixels, w > 0 in front of the camera."""
+        """Return the (3, 3) map from texels to ideal pixels, w > 0 in front of the camera; of N poses (N, 3, 3)."""
         R, t = camera_from_scene.R, camera_from_scene.t
-        plane = np.column_stack((R[:, 0] * self._texel_m, -R[:, 1] * self._texel_m, t - wall_m * R[:, 2]))
+        plane = np.stack((R[..., 0] * self._texel_m, -R[..., 1] * self._texel_m, t - wall_m * R[..., 2]), axis=-1)
         H: Matrix3 = K @ plane
         return H
 

@@ -31,6 +31,24 @@ def test_same_seed_gives_the_same_files(tmp_path: Path) -> None:
         assert (tmp_path / "a/bag" / name).read_bytes() == (tmp_path / "b/bag" / name).read_bytes()
 
 
+def test_shutter_lens_and_exposure_change_the_frames_and_not_the_truth(tmp_path: Path) -> None:
+    options = {
+        "plain": [],
+        "blurred": ["--exposure-ms", "2"],
+        "rolling": ["--row-time-us", "100"],
+        "soft": ["--defocus-px", "2"],
+        "lens": ["--f-number", "0.8", "--focus-m", "0.4", "--pixel-pitch-um", "50"],
+        "dark": ["--ev", "-2,-1"],
+    }
+    bags, truths = set(), set()
+    for name, words in options.items():
+        assert main([*SMALL, "--out", str(tmp_path / name), "--encoding", "mono16", "--bits", "14", *words]) == 0
+        bags.add((tmp_path / name / f"{name}.mcap").read_bytes())
+        truths.add((tmp_path / name / "truth.csv").read_bytes())
+    assert len(bags) == len(options)
+    assert len(truths) == 1
+
+
 def test_several_templates(tmp_path: Path) -> None:
     paths = [tmp_path / "Left Wall.png", tmp_path / "grey.png"]
     write_image(paths[0], procedural_texture(60, 80, 1))
@@ -64,6 +82,13 @@ def test_several_templates(tmp_path: Path) -> None:
         (["--seed", "-1"], "seed: -1; need 0 or more"),
         (["--template", "/nowhere/a.png"], "/nowhere/a.png"),
         (["--full-well", "-5"], "full_well_e: -5"),
+        (["--exposure-ms", "70"], "exposure: 70 ms; need 0 to the frame period, 66.6667"),
+        (["--row-time-us", "2000"], "row time: 2000 us x 47 rows"),
+        (["--defocus-px", "-1"], "defocus: -1 px"),
+        (["--f-number", "0"], "f-number: 0; need more than 0"),
+        (["--focus-m", "1"], "focus: 1 m without an f-number"),
+        (["--f-number", "2", "--pixel-pitch-um", "0"], "pixel pitch: 0 um"),
+        (["--ev", "11"], "ev: [11.0]; need numbers from -10 to 10"),
     ],
 )
 def test_bad_values_are_one_line(
@@ -77,7 +102,9 @@ def test_bad_values_are_one_line(
     assert not (tmp_path / "bag").exists()
 
 
-@pytest.mark.parametrize("options", [["--size", "big"], ["--storage", "tape"], ["--frames", "x"], ["--nonsense"]])
+@pytest.mark.parametrize(
+    "options", [["--size", "big"], ["--storage", "tape"], ["--frames", "x"], ["--ev", "0,x"], ["--nonsense"]]
+)
 def test_wrong_usage_is_exit_2(tmp_path: Path, options: list[str]) -> None:
     assert main([*SMALL, "--out", str(tmp_path / "bag"), *options]) == 2
 
