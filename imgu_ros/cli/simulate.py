@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--pixel-pitch-um", type=float, default=3.45, metavar="UM",
         help="distance of pixels on the sensor, which makes the f-number an aperture (default 3.45)")
     add("--ev", type=_stops, default=(0.0,), metavar="EV[,EV...]",
-        help="exposure compensation in stops; several: of successive equal parts of the sequence (default 0)")
+        help="exposure compensation in stops; several, as in --ev=-1,0,1: of successive equal parts of the sequence")
 
     group = parser.add_argument_group("bag")
     add = group.add_argument

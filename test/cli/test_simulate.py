@@ -34,11 +34,11 @@ def test_same_seed_gives_the_same_files(tmp_path: Path) -> None:
 def test_shutter_lens_and_exposure_change_the_frames_and_not_the_truth(tmp_path: Path) -> None:
     options = {
         "plain": [],
-        "blurred": ["--exposure-ms", "2"],
+        "blurred": ["--exposure-ms", "0.2"],
         "rolling": ["--row-time-us", "100"],
         "soft": ["--defocus-px", "2"],
         "lens": ["--f-number", "0.8", "--focus-m", "0.4", "--pixel-pitch-um", "50"],
-        "dark": ["--ev", "-2,-1"],
+        "dark": ["--ev=-2,-1"],
     }
     bags, truths = set(), set()
     for name, words in options.items():
