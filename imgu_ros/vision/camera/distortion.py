@@ -38,6 +38,13 @@ COEFFICIENTS = {
     DistortionModel.EQUIDISTANT: 4,
 }
 
+#: The coefficients' names, in order.
+COEFFICIENT_NAMES = {
+    DistortionModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
+    DistortionModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    DistortionModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
+}
+
 _MAX_STEPS = 50
 _TOLERANCE = 1e-13  # normalised image units: below 1e-9 px for any real focal length
 _BISECTIONS = 60

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
-from imgu_ros.types import Floats, Matrix3, Points, as_points
+from imgu_ros.types import Floats, Points, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_problem import PoseProblem
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import minimise
@@ -72,7 +73,7 @@ def planar_poses(
     require_spread(normalized[valid], "pixels")
     among_valid = None if correlation is None else correlation[np.ix_(valid, valid)]
     refined = []
-    for start in _ippe(plane_xy[valid], normalized[valid]):
+    for start in planar_pose_starts(plane_xy[valid], normalized[valid]):
         try:
             refined.append(_refined(plane_xy[valid], pixels[valid], camera, start, noise_px, among_valid))
         except EstimationError:
@@ -88,8 +89,22 @@ def planar_poses(
     return PlanarPoses(tuple(refined), ambiguity)
 
 
-def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
-    """Return up to two rigid transforms (4, 4) by infinitesimal plane-based pose estimation (OpenCV)."""
+def planar_pose_starts(plane_xy: ArrayLike, normalized: ArrayLike) -> list[RigidTransform]:
+    """Return up to two poses camera_from_plane by infinitesimal plane-based pose estimation (OpenCV), not refined.
+
+    Parameters
+    ----------
+    plane_xy : (N, 2) m, on the plane z = 0, N >= 4
+    normalized : (N, 2) ideal coordinates x / z, y / z
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If the points do not determine a pose.
+    """
+    plane_xy, normalized = as_points(plane_xy, "plane_xy", 4), as_points(normalized, "normalized", 4)
+    if len(plane_xy) != len(normalized):
+        raise ShapeError(f"normalized: {len(normalized)} points; need {len(plane_xy)}, one for each of plane_xy")
     plane = np.column_stack((plane_xy, np.zeros(len(plane_xy))))
     try:
         count, rotations, translations, _ = cv2.solvePnPGeneric(
@@ -97,16 +112,13 @@ def _ippe(plane_xy: Points, normalized: Points) -> list[Matrix3]:
         )
     except cv2.error as error:
         raise DegenerateConfiguration(
-            f"pixels: no planar pose ({error.err}); need a plane seen from its front"
+            f"pixels: no planar pose ({' '.join(str(error.err).split())}); need a plane seen from its front"
         ) from None
     starts = []
     for rvec, tvec in zip(rotations[:count], translations[:count], strict=True):
-        if not (np.isfinite(rvec).all() and np.isfinite(tvec).all()):
-            continue
-        start = np.eye(4)
-        start[:3, :3] = exp_so3(np.asarray(rvec, np.float64).ravel())
-        start[:3, 3] = np.asarray(tvec, np.float64).ravel()
-        starts.append(start)
+        if np.isfinite(rvec).all() and np.isfinite(tvec).all():
+            t = np.asarray(tvec, np.float64).ravel()
+            starts.append(RigidTransform(exp_so3(np.asarray(rvec, np.float64).ravel()), t))
     return starts
 
 
@@ -114,11 +126,13 @@ def _refined(
     plane_xy: Points,
     pixels: Points,
     camera: Camera,
-    start: Matrix3,
+    start: RigidTransform,
     noise_px: float | None,
     correlation: Floats | None,
 ) -> Pose:
-    minimum = minimise(PoseProblem(plane_xy, pixels, camera), start, max_iterations=30)
+    estimate = np.eye(4)
+    estimate[:3, :3], estimate[:3, 3] = start.R, start.t
+    minimum = minimise(PoseProblem(plane_xy, pixels, camera), estimate, max_iterations=30)
     R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
     rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
     return Pose(R, t, propagated_covariance(minimum, noise_px, correlation), rms)

@@ -1,0 +1,53 @@
+"""The pictures of a bag's image topic, without their camera_info: for those who are about to make one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from imgu_ros.bags.reading import Bag
+from imgu_ros.bags.topics import find_image_topic
+from imgu_ros.codec.frame import decode_frame
+from imgu_ros.codec.header import decode_header
+from imgu_ros.errors import EncodingError
+from imgu_ros.vision.formation.layout import RawImage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedPicture:
+    """One recorded image.
+
+    Attributes
+    ----------
+    stamp_ns : its header's stamp
+    image : decoded; None when it could not be
+    reason : why it could not be decoded; empty when it was
+    """
+
+    stamp_ns: int
+    image: RawImage | None
+    reason: str
+
+
+def recorded_pictures(bag: Bag, topic: str = "") -> Iterator[RecordedPicture]:
+    """Yield the images of a topic, in the bag's order.
+
+    Parameters
+    ----------
+    bag : open
+    topic : its name; empty: the first image topic
+
+    Raises
+    ------
+    BagError, ParameterError
+        If there is no such topic; see `find_image_topic`.
+    """
+    name = find_image_topic(bag.topics, topic).name
+    for message in bag.messages([name]):
+        stamp_ns = decode_header(message.message).stamp_ns
+        try:
+            frame = decode_frame(message.message, None, rectified=False)
+        except EncodingError as error:
+            yield RecordedPicture(stamp_ns, None, str(error))
+        else:
+            yield RecordedPicture(stamp_ns, frame.image, "")

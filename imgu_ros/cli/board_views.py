@@ -1,0 +1,229 @@
+"""Views of a chessboard in image files or in a bag: what `imgu calibrate` works from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from imgu_ros.bags.pictures import recorded_pictures
+from imgu_ros.bags.reading import open_bag
+from imgu_ros.errors import BagError, FileError, ImguError, ParameterError, TooFewPoints
+from imgu_ros.files.images import read_image
+from imgu_ros.params import Parameters
+from imgu_ros.perception.develop import develop
+from imgu_ros.types import Image, Points
+from imgu_ros.vision.camera.calibration import FEWEST_VIEWS
+from imgu_ros.vision.camera.chessboard import FEWEST_CORNERS, Chessboard, find_chessboard
+from imgu_ros.vision.camera.view_choice import choose_views
+from imgu_ros.vision.formation.cfa import BayerPattern
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+
+_RECORDINGS = {".bag", ".mcap", ".db3", ".zstd"}
+_IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".bmp"}
+#: Pictures on which other sizes of the board are tried when none was found.
+_KEPT_FOR_HINT = 3
+_NO_BOARD = "no board found"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardView:
+    """A picture in which the board was found: its name, its size in px, and the corners, (N, 2) px."""
+
+    name: str
+    width: int
+    height: int
+    corners: Points
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedPicture:
+    """A picture that is not used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardViews:
+    """What was found.
+
+    Attributes
+    ----------
+    width, height : px, of the pictures in `views`
+    views : different views of the board
+    refused : the other pictures
+    """
+
+    width: int
+    height: int
+    views: tuple[BoardView, ...]
+    refused: tuple[RefusedPicture, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    name: str
+    grey: Image | None
+    reason: str = ""
+
+
+def find_board_views(
+    paths: Sequence[Path],
+    board: Chessboard,
+    parameters: Parameters,
+    *,
+    pattern: str | None = None,
+    most: int = 50,
+    on_progress: Callable[[int, int | None], None] = lambda done, total: None,
+) -> BoardViews:
+    """Look for the board in image files, folders of them, or one bag.
+
+    Parameters
+    ----------
+    paths : images and folders, or the parts of one bag
+    board : what to look for
+    parameters : `image_topic`, and how raw pixels are developed
+    pattern : the image files are Bayer mosaics of this pattern; None: they are pictures
+    most : views to choose at most
+    on_progress : called after each picture with the number of those done and, when it is known, of all
+
+    Raises
+    ------
+    TooFewPoints
+        If the board is found in fewer than three different views; says what was found instead.
+    FileError, BagError, ParameterError
+        If the paths cannot be read.
+    """
+    bags = [path for path in paths if _is_bag(path)]
+    if bags and len(bags) < len(paths):
+        raise ParameterError(f"{paths[0]}: bags and images mixed; need one bag, or images")
+    files = () if bags else _image_files(paths)
+    pictures = _of_bag(bags, parameters) if bags else _of_files(files, parameters, pattern)
+    found: list[BoardView] = []
+    refused: list[RefusedPicture] = []
+    kept: list[Image] = []
+    for index, picture in enumerate(pictures):
+        corners = None
+        if picture.grey is None:
+            refused.append(RefusedPicture(picture.name, picture.reason))
+        else:
+            # In a video the slow detector is not worth its time: the next frame will do.
+            corners = find_chessboard(picture.grey, board, thorough=not bags)
+            if corners is None:
+                refused.append(RefusedPicture(picture.name, _NO_BOARD))
+                if index & (index - 1) == 0:  # 0, 1, 2, 4, 8, ...: spread over a recording of any length
+                    kept = [*kept, picture.grey][-_KEPT_FOR_HINT:]
+            else:
+                height, width = picture.grey.shape
+                found.append(BoardView(picture.name, width, height, corners))
+        on_progress(index + 1, len(files) or None)
+    if not found and not refused:
+        raise BagError(f"{paths[0]}: no picture in it; need views of the board")
+    return _chosen(found, refused, board, kept, most)
+
+
+def _chosen(
+    found: list[BoardView], refused: list[RefusedPicture], board: Chessboard, kept: list[Image], most: int
+) -> BoardViews:
+    if not found:
+        raise TooFewPoints(_nothing_found(refused, board, kept))
+    (width, height), _ = Counter((view.width, view.height) for view in found).most_common(1)[0]
+    fitting = [view for view in found if (view.width, view.height) == (width, height)]
+    refused = refused + [
+        RefusedPicture(view.name, f"{view.width} x {view.height} px; the others have {width} x {height}")
+        for view in found
+        if (view.width, view.height) != (width, height)
+    ]
+    indices = choose_views([view.corners for view in fitting], width, height, most)
+    refused += [
+        RefusedPicture(view.name, "like another view" if len(indices) < most else f"beyond {most} views")
+        for index, view in enumerate(fitting)
+        if index not in indices
+    ]
+    if len(indices) < FEWEST_VIEWS:
+        reasons = Counter(picture.reason for picture in refused)
+        others = "".join(f"; {count} x {reason}" for reason, count in reasons.most_common(3))
+        raise TooFewPoints(
+            f"views: {len(indices)} different ones of the {board.columns}x{board.rows} board; "
+            f"need {FEWEST_VIEWS}{others}"
+        )
+    return BoardViews(width, height, tuple(fitting[i] for i in indices), tuple(refused))
+
+
+def _nothing_found(refused: list[RefusedPicture], board: Chessboard, kept: list[Image]) -> str:
+    unread = [picture for picture in refused if picture.reason != _NO_BOARD]
+    if len(unread) == len(refused):
+        return f"board: none of {len(refused)} pictures can be read; the first: {unread[0].name}: {unread[0].reason}"
+    start = f"board: no {board.columns}x{board.rows} board found in {len(refused)} pictures"
+    other = next(filter(None, (_other_size(grey, board) for grey in kept)), None)
+    if other is not None:
+        return f"{start}, but a {other.columns}x{other.rows} one; need --board with the number of inner corners"
+    return f"{start}; need pictures of the whole board, sharp, with a white margin; --board counts inner corners"
+
+
+def _other_size(grey: Image, board: Chessboard) -> Chessboard | None:
+    """Look for a board of nearly the size that was asked for, the largest first (smaller ones are a part of it)."""
+    sizes = [
+        (board.columns + more, board.rows + more_rows)
+        for more in (1, 0, -1, -2)
+        for more_rows in (1, 0, -1, -2)
+        if (more, more_rows) != (0, 0) and min(board.columns + more, board.rows + more_rows) >= FEWEST_CORNERS
+    ]
+    for columns, rows in sorted(sizes, key=lambda size: -size[0] * size[1]):
+        other = Chessboard(columns, rows, board.square_m)
+        if find_chessboard(grey, other, thorough=False) is not None:
+            return other
+    return None
+
+
+def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None) -> Iterator[_Picture]:
+    for path in files:
+        try:
+            pixels = read_image(path)
+            if pattern and pixels.ndim != 2:
+                raise FileError(f"{path}: {pixels.shape[2]} channels; need one for --pattern")
+            if pattern:
+                layout = PixelLayout(ColorModel.BAYER, BayerPattern(pattern))
+            else:
+                layout = PixelLayout(ColorModel.MONO if pixels.ndim == 2 else ColorModel.RGB)
+            yield _developed(str(path), RawImage(pixels, layout), parameters)
+        except FileError as error:
+            yield _Picture(str(path), None, str(error).removeprefix(f"{path}: "))
+
+
+def _of_bag(bags: Sequence[Path], parameters: Parameters) -> Iterator[_Picture]:
+    with open_bag(bags) as bag:
+        for picture in recorded_pictures(bag, parameters.image_topic):
+            name = f"{picture.stamp_ns / 1e9:.3f} s"
+            if picture.image is None:
+                yield _Picture(name, None, picture.reason)
+            else:
+                yield _developed(name, picture.image, parameters)
+
+
+def _developed(name: str, image: RawImage, parameters: Parameters) -> _Picture:
+    try:
+        return _Picture(name, develop(image, parameters.raw, parameters.demosaic).grey)
+    except ImguError as error:
+        return _Picture(name, None, str(error))
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        return any(entry.suffix in _RECORDINGS or entry.name == "metadata.yaml" for entry in path.iterdir())
+    return path.suffix in _RECORDINGS or path.name == "metadata.yaml"
+
+
+def _image_files(paths: Sequence[Path]) -> tuple[Path, ...]:
+    files: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _IMAGE_SUFFIXES)
+        if not inside:
+            raise FileError(f"{path}: no image in it; need PNG, JPEG, TIFF or PNM files, or a bag")
+        files += inside
+    return tuple(files)

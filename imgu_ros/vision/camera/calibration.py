@@ -1,0 +1,290 @@
+"""Intrinsics and lens distortion from views of a plane with known points (notes 1.1.3; Zhang 2000).
+
+Every view's pose, K and the distortion are refined together by the reprojection error (Levenberg-Marquardt); the
+covariance is that of the normal equations, with the noise taken from the residuals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, NotConverged, ShapeError, TooFewPoints
+from imgu_ros.types import Floats, Points, as_points
+from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
+from imgu_ros.vision.camera.distortion import COEFFICIENTS, DistortionModel, as_distortion_model
+from imgu_ros.vision.camera.intrinsics import Camera, make_camera
+from imgu_ros.vision.camera.planar_pose import planar_pose_starts
+from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.estimation.nonlinear import Minimum, minimise
+from imgu_ros.vision.projective.estimate import require_spread
+
+FEWEST_VIEWS = 3
+#: Focal lengths that are tried, as shares of the picture's longer side: 127 to 13 degrees of view.
+_FOCAL_SHARES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
+#: A view is an outlier when its residual is this many times the median view's, and worth more than a trifle.
+_OUTLIER_RATIO = 3.0
+_OUTLIER_PX = 0.1
+#: The largest share of the focal length that its standard deviation may be.
+_LARGEST_SIGMA = 0.1
+_MAX_STEPS = 100
+#: The share of its standard deviation to which every parameter is found, and of the cost by which it is to fall.
+_TOLERANCE = 1e-7
+#: Smallest diagonal element of the triangular factor of J with columns of unit length.
+_RANK_TOLERANCE = 1e-11
+_LARGEST = 1e9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedView:
+    """One view in a calibration.
+
+    Attributes
+    ----------
+    index : of the view in the input
+    pose : camera_from_board
+    rms_px : root mean square reprojection error, px (per coordinate)
+    residuals : (N, 2) px, projected - measured
+    """
+
+    index: int
+    pose: RigidTransform
+    rms_px: float
+    residuals: Points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A calibrated camera and what is known about it.
+
+    Attributes
+    ----------
+    camera : intrinsics
+    covariance : (4 + C, 4 + C) of fx, fy, cx, cy and the C distortion coefficients
+    rms_px : root mean square residual of the views that were used, px (per coordinate)
+    views : those that were used, in the input's order
+    outliers : those that were refused because they do not agree with the others, as they were then
+    iterations : linear systems solved
+    """
+
+    camera: Camera
+    covariance: Floats
+    rms_px: float
+    views: tuple[CalibratedView, ...]
+    outliers: tuple[CalibratedView, ...]
+    iterations: int
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations of fx, fy, cx, cy and the distortion coefficients, (4 + C,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)), np.float64)
+
+    @property
+    def rms_corner_px(self) -> float:
+        """Root mean square distance of corners, as OpenCV's calibrateCamera reports it: sqrt 2 times `rms_px`."""
+        return math.sqrt(2) * self.rms_px
+
+
+def calibrate(
+    board_xy: ArrayLike,
+    views: Sequence[ArrayLike],
+    width: int,
+    height: int,
+    model: DistortionModel | str = DistortionModel.PLUMB_BOB,
+    *,
+    refuse_outliers: bool = True,
+) -> Calibration:
+    """Calibrate a camera from views of one plane.
+
+    Takes time and memory as views^2 x points; fifty views of a 9x6 board take about a second.
+
+    Parameters
+    ----------
+    board_xy : (N, 2) m, points of the plane z = 0, N >= 4
+    views : each (N, 2) px, where the points were seen; at least three, from different directions
+    width, height : px, of the pictures
+    model : of the lens
+    refuse_outliers : leave out views whose residual is more than three times the median view's
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape or is not finite.
+    TooFewPoints
+        If there are fewer than three views, or too few that agree.
+    DegenerateConfiguration
+        If the views do not determine the focal length to 10 % (all parallel, or all alike), or not every coefficient.
+    NotConverged
+        If the refinement finds no minimum.
+
+    Examples
+    --------
+    >>> from imgu_ros.vision.camera.rotation import exp_so3
+    >>> truth = make_camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [-0.2, 0.05], "plumb_bob", 640, 480)
+    >>> board = np.column_stack([g.ravel() for g in np.meshgrid(np.arange(9) * 0.03, np.arange(6) * 0.03)])
+    >>> turns = [(0.4, 0, 0), (0, 0.5, 0.2), (-0.4, 0.3, 0), (0.1, -0.5, 1.0)]
+    >>> flat = np.column_stack((board, np.zeros(54)))
+    >>> views = [truth.project(flat @ exp_so3(turn).T + [-0.12, -0.08, 0.5]) for turn in turns]
+    >>> found = calibrate(board, views, 640, 480)
+    >>> found.camera.K.round(4).tolist()
+    [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
+    """
+    board_xy, pixels = _checked(board_xy, views, width, height)
+    model = as_distortion_model(model)
+    state = _start(board_xy, pixels, (width, height), model)
+    indices = list(range(len(pixels)))
+    outliers: list[CalibratedView] = []
+    iterations = 0
+    while True:
+        problem = BundleProblem(board_xy, [pixels[i] for i in indices], model)
+        minimum = _minimum(problem, state)
+        state = problem.unpack(minimum.estimate)
+        iterations += minimum.iterations
+        seen = _views(minimum, state, indices)
+        rms = np.array([view.rms_px for view in seen])
+        worst = int(np.argmax(rms))
+        if not (refuse_outliers and rms[worst] > max(_OUTLIER_RATIO * float(np.median(rms)), _OUTLIER_PX)):
+            break
+        # One at a time: the worst view bends the others.
+        outliers.append(seen[worst])
+        del indices[worst]
+        state = BundleState(state.intrinsics, tuple(pose for i, pose in enumerate(state.poses) if i != worst))
+        if len(indices) < FEWEST_VIEWS:
+            raise TooFewPoints(
+                f"views: {len(outliers)} of {len(pixels)} do not agree with the others; need {FEWEST_VIEWS} that do"
+            )
+    if not minimum.converged:
+        raise NotConverged(
+            f"views: no minimum after {minimum.iterations} steps; need more tilted views, or a model with fewer "
+            "coefficients"
+        )
+    covariance = _covariance(minimum, state.intrinsics)
+    return Calibration(
+        camera=_camera(state.intrinsics, width, height, model),
+        covariance=covariance,
+        rms_px=math.sqrt(float((minimum.linearisation.residuals**2).mean())),
+        views=tuple(seen),
+        outliers=tuple(sorted(outliers, key=lambda view: view.index)),
+        iterations=iterations,
+    )
+
+
+def _checked(board_xy: ArrayLike, views: Sequence[ArrayLike], width: int, height: int) -> tuple[Points, list[Points]]:
+    board_xy = as_points(board_xy, "board_xy", 4)
+    require_spread(board_xy, "board_xy")
+    if len(views) < FEWEST_VIEWS:
+        raise TooFewPoints(f"views: {len(views)}; need at least {FEWEST_VIEWS}, from different directions")
+    if not (0 < width < math.inf and 0 < height < math.inf):
+        raise ShapeError(f"size: {width} x {height}; need positive width and height")
+    pixels = [as_points(view, f"views[{index}]") for index, view in enumerate(views)]
+    for index, view in enumerate(pixels):
+        if len(view) != len(board_xy):
+            raise ShapeError(f"views[{index}]: {len(view)} points; need {len(board_xy)}, one for each of board_xy")
+        require_spread(view, f"views[{index}]")
+        if np.abs(view).max() > _LARGEST:
+            raise ShapeError(f"views[{index}]: up to {np.abs(view).max():g}; need px of a picture")
+    if not 1 / _LARGEST < np.abs(board_xy).max() < _LARGEST:
+        raise ShapeError(f"board_xy: up to {np.abs(board_xy).max():g} m; need the size of a board")
+    return board_xy, pixels
+
+
+def _start(board_xy: Points, pixels: list[Points], size: tuple[int, int], model: DistortionModel) -> BundleState:
+    """Return the focal length, among some, that explains the views best without distortion, and the poses with it.
+
+    Zhang's closed form fails when the views are few, frontal or strongly distorted; this does not.
+    """
+    best, best_cost = None, math.inf
+    for share in _FOCAL_SHARES:
+        intrinsics = np.zeros(4 + COEFFICIENTS[model])
+        intrinsics[:2] = share * max(size)
+        intrinsics[2:4] = (size[0] - 1) / 2, (size[1] - 1) / 2
+        camera = _camera(intrinsics, *size, model)
+        poses, cost = [], 0.0
+        for view in pixels:
+            pose, error = _best_pose(board_xy, view, camera)
+            if pose is None:
+                break
+            poses.append(pose)
+            cost += error
+        if len(poses) == len(pixels) and cost < best_cost:
+            best, best_cost = BundleState(intrinsics, tuple(poses)), cost
+    if best is None:
+        raise DegenerateConfiguration("views: no focal length makes all of them views of a plane; need views of one")
+    return best
+
+
+def _best_pose(board_xy: Points, view: Points, camera: Camera) -> tuple[RigidTransform | None, float]:
+    """Return the pose with the smallest RMS error, and that error; None when no pose is in front of the camera."""
+    normalized, valid = camera.undistort(view)
+    if not valid.all():
+        return None, math.inf
+    best, best_error = None, math.inf
+    try:
+        starts = planar_pose_starts(board_xy, normalized)
+    except EstimationError:
+        return None, math.inf
+    for start in starts:
+        points = board_xy @ start.R[:, :2].T + start.t
+        if points[:, 2].min() > 0:
+            error = math.sqrt(float(((camera.project(points) - view) ** 2).mean()))
+            if error < best_error:
+                best, best_error = start, error
+    return best, best_error
+
+
+def _minimum(problem: BundleProblem, state: BundleState) -> Minimum:
+    try:
+        return minimise(problem, problem.pack(state), max_iterations=_MAX_STEPS, tolerance=_TOLERANCE)
+    except EstimationError as error:
+        raise DegenerateConfiguration(f"views: {error}") from None
+
+
+def _views(minimum: Minimum, state: BundleState, indices: list[int]) -> list[CalibratedView]:
+    residuals = minimum.linearisation.residuals.reshape(len(indices), -1, 2)
+    return [
+        CalibratedView(index, pose, math.sqrt(float((of_view**2).mean())), of_view)
+        for index, pose, of_view in zip(indices, state.poses, residuals, strict=True)
+    ]
+
+
+def _covariance(minimum: Minimum, intrinsics: Floats) -> Floats:
+    size = len(intrinsics)
+    covariance = _leading_covariance(minimum, size)
+    shares = np.sqrt(np.diag(covariance)[:2]) / intrinsics[:2]
+    if not shares.max() < _LARGEST_SIGMA:
+        raise DegenerateConfiguration(
+            f"views: they leave the focal length open to {100 * shares.max():.2g} %; need the board tilted by 20 to 50 "
+            "degrees, in different directions"
+        )
+    return covariance
+
+
+def _leading_covariance(minimum: Minimum, size: int) -> Floats:
+    """Return sigma^2 (J^T J)^-1 of the first parameters, from the triangular factor of J.
+
+    Rational coefficients nearly cancel each other: J^T J, whose condition is that of J squared, would be singular.
+    """
+    residuals, jacobian = minimum.linearisation.residuals, minimum.linearisation.jacobian
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    scale = np.linalg.norm(flat, axis=0)
+    if not scale.all():
+        raise DegenerateConfiguration("views: a parameter has no effect on them; need whole, tilted views of the board")
+    # The last parameters first: the triangle of the leading ones is then the last of R, free of all others.
+    R = np.linalg.qr(flat[:, ::-1] / scale[::-1], mode="r")[-size:, -size:]
+    if not np.abs(np.diag(R)).min() > _RANK_TOLERANCE:
+        raise DegenerateConfiguration(
+            "views: they do not determine every parameter; need more tilted views, or a model with fewer coefficients"
+        )
+    inverse = np.linalg.inv(R)[::-1, ::-1] / scale[:size, None]
+    freedom = max(flat.shape[0] - flat.shape[1], 1)
+    covariance = inverse @ inverse.T * (float((residuals**2).sum()) / freedom)
+    return np.asarray((covariance + covariance.T) / 2, np.float64)
+
+
+def _camera(intrinsics: Floats, width: int, height: int, model: DistortionModel) -> Camera:
+    fx, fy, cx, cy = intrinsics[:4]
+    return make_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], intrinsics[4:], model, width, height)
