@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from imgu_ros.codec.picture_files import check_picture_file, is_picture_file
 from imgu_ros.errors import EncodingError, FileError, ShapeError
+from imgu_ros.files.pnm import decode_pnm, encode_pnm, is_pnm
 from imgu_ros.types import Image, as_image
 
 #: What each kind of file can hold: (number of channels, data types).
@@ -18,18 +22,15 @@ _WRITABLE: dict[str, tuple[tuple[int, ...], tuple[type, ...]]] = {
     ".tiff": ((1, 3), (np.uint8, np.uint16, np.float32)),
     ".jpg": ((1, 3), (np.uint8,)),
     ".jpeg": ((1, 3), (np.uint8,)),
+    ".pbm": ((1,), (np.uint8,)),
     ".pgm": ((1,), (np.uint8, np.uint16)),
     ".ppm": ((3,), (np.uint8, np.uint16)),
     ".pnm": ((1, 3), (np.uint8, np.uint16)),
 }
+_PNM = (".pbm", ".pgm", ".ppm", ".pnm")
+_NEED = "need a PNM, PNG, TIFF or JPEG"
 _READABLE_DTYPES = (np.uint8, np.uint16, np.float32)
 _LZW = 5  # else OpenCV 4 writes float colours as LogLuv, which loses precision
-_OPTIONS = {
-    ".jpg": (cv2.IMWRITE_JPEG_QUALITY, 95),
-    ".jpeg": (cv2.IMWRITE_JPEG_QUALITY, 95),
-    ".tif": (cv2.IMWRITE_TIFF_COMPRESSION, _LZW),
-    ".tiff": (cv2.IMWRITE_TIFF_COMPRESSION, _LZW),
-}
 
 
 def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
@@ -37,13 +38,16 @@ def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
 
     Parameters
     ----------
-    path : PGM, PPM, PNG, TIFF, JPEG, or what else this OpenCV decodes
-    keep_alpha : keep an alpha channel, as the fourth; the orientation that a camera noted is then not applied
+    path : PBM, PGM, PPM (plain or binary), PNG, TIFF, JPEG, or what else this OpenCV decodes; the content counts, not
+        the suffix
+    keep_alpha : keep an alpha channel, as the fourth; the orientation that a camera noted in a JPEG or PNG is then not
+        applied
 
     Returns
     -------
     (H, W) or (H, W, 3) RGB, or (H, W, 4) RGBA; uint8, uint16, or float32 from a TIFF file. Values are those of the
-    file, never scaled. A JPEG is turned as its Exif orientation says.
+    file, never scaled: a PGM of maxval 4095 gives 0 to 4095. A bitmap has 0 and 255. A JPEG, PNG or TIFF is turned as
+    its orientation tag says.
 
     Raises
     ------
@@ -51,20 +55,13 @@ def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
         If the file is missing, empty, no image, cut, damaged, or of another depth.
     """
     path = Path(path)
-    # Not cv2.imread: it says nothing about why it fails.
-    encoded = np.frombuffer(_content(path), np.uint8)
-    if is_picture_file(encoded):
+    content = _content(path)
+    if is_pnm(content):
         try:
-            check_picture_file(encoded)
+            return decode_pnm(content)
         except EncodingError as error:
             raise FileError(f"{path}: {error}") from None
-    flags = cv2.IMREAD_UNCHANGED if keep_alpha else cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
-    try:
-        pixels: Image | None = cv2.imdecode(encoded, flags)
-    except cv2.error as error:
-        raise FileError(f"{path}: cannot be decoded ({_reason(error)}); need a PGM, PPM, PNG, TIFF or JPEG") from None
-    if pixels is None:
-        raise FileError(f"{path}: not an image ({len(encoded)} bytes); need a PGM, PPM, PNG, TIFF or JPEG")
+    pixels = _decoded(path, content, cv2.IMREAD_UNCHANGED if keep_alpha else cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if pixels.dtype not in [np.dtype(dtype) for dtype in _READABLE_DTYPES]:
         raise FileError(f"{path}: data type {pixels.dtype}; need uint8, uint16 or float32")
     if pixels.ndim == 2:
@@ -74,14 +71,16 @@ def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
     return _swapped(pixels)
 
 
-def write_image(path: Path | str, pixels: Image) -> None:
-    """Write an image file; the suffix chooses the format.
+def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality: int = 95) -> None:
+    """Write an image file; the suffix chooses the format. All but JPEG are lossless.
 
     Parameters
     ----------
     path : .png (8 or 16 bit), .tif or .tiff (8 or 16 bit, float32), .jpg or .jpeg (8 bit), .pgm (grey), .ppm (colour),
-        .pnm
+        .pnm (either; 8 or 16 bit), .pbm (0 and 255 alone)
     pixels : (H, W) or (H, W, 3) RGB
+    plain : write PNM as text
+    quality : of a JPEG, 0 to 100
 
     Raises
     ------
@@ -100,15 +99,9 @@ def write_image(path: Path | str, pixels: Image) -> None:
         as_image(pixels, "image", channels, dtypes)
     except ShapeError as error:
         raise FileError(f"{path}: {error} in a {suffix} file") from None
-    options = list(_OPTIONS.get(suffix, ()))
+    encoded = _encoded(path, suffix, pixels, plain, quality)
     try:
-        done, encoded = cv2.imencode(suffix, pixels if pixels.ndim == 2 else _swapped(pixels), options)
-    except cv2.error as error:
-        raise FileError(f"{path}: cannot be encoded ({_reason(error)})") from None
-    if not done:
-        raise FileError(f"{path}: OpenCV cannot encode {pixels.shape} {pixels.dtype}")
-    try:
-        path.write_bytes(encoded.data)
+        path.write_bytes(encoded)
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
 
@@ -148,6 +141,62 @@ def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dt
         raise FileError(f"{path}: {values.nbytes} bytes; need {need} ({width} x {height} x {stored.itemsize})")
     native: Image = values.reshape(height, width).astype(stored.newbyteorder("="))
     return native
+
+
+def _decoded(path: Path, content: bytes, flags: int) -> Image:
+    # Not cv2.imread: it says nothing about why it fails.
+    encoded = np.frombuffer(content, np.uint8)
+    if is_picture_file(encoded):
+        try:
+            check_picture_file(encoded)
+        except EncodingError as error:
+            raise FileError(f"{path}: {error}") from None
+    try:
+        with _decoder_silenced():
+            pixels: Image | None = cv2.imdecode(encoded, flags)
+    except cv2.error as error:
+        raise FileError(f"{path}: cannot be decoded ({_reason(error)}); {_NEED}") from None
+    if pixels is None:
+        raise FileError(f"{path}: not an image ({len(encoded)} bytes); {_NEED}")
+    return pixels
+
+
+@contextlib.contextmanager
+def _decoder_silenced() -> Iterator[None]:
+    """Keep OpenCV 5 from logging about a damaged file: what is wrong is said by the error."""
+    logging: Any = getattr(cv2.utils, "logging", None)
+    if logging is None:
+        yield
+        return
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)
+
+
+def _encoded(path: Path, suffix: str, pixels: Image, plain: bool, quality: int) -> bytes:
+    if suffix in _PNM:
+        try:
+            return encode_pnm(pixels, plain=plain, bitmap=suffix == ".pbm")
+        except ShapeError as error:
+            raise FileError(f"{path}: {error}") from None
+    if plain or not 0 <= quality <= 100:
+        need = f"a suffix of {', '.join(_PNM)} for plain text" if plain else "a quality of 0 to 100"
+        raise FileError(f"{path}: plain {plain}, quality {quality}; need {need}")
+    options = {
+        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality],
+        ".jpeg": [cv2.IMWRITE_JPEG_QUALITY, quality],
+        ".tif": [cv2.IMWRITE_TIFF_COMPRESSION, _LZW],
+        ".tiff": [cv2.IMWRITE_TIFF_COMPRESSION, _LZW],
+    }.get(suffix, [])
+    try:
+        done, encoded = cv2.imencode(suffix, pixels if pixels.ndim == 2 else _swapped(pixels), options)
+    except cv2.error as error:
+        raise FileError(f"{path}: cannot be encoded ({_reason(error)})") from None
+    if not done:
+        raise FileError(f"{path}: OpenCV cannot encode {pixels.shape} {pixels.dtype}")
+    return encoded.tobytes()
 
 
 def _raw_dtype(path: Path, dtype: str | np.dtype[np.generic]) -> np.dtype[np.generic]:
