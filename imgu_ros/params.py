@@ -124,14 +124,64 @@ class RawParameters:
     bands: tuple[int, ...] = parameter(
         (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=63
     )
+    band_mode: str = parameter(
+        "mean",
+        "How the bands of a pixel become one grey value: their `mean`; `weighted` mean; first `principal_component` of "
+        "the frame; `spectral_angle`: bright where the spectrum is like `raw.reference_spectrum`.",
+        choices=("mean", "weighted", "principal_component", "spectral_angle"),
+    )
+    band_weights: tuple[float, ...] = parameter(
+        (), "Weight of each band (each of `raw.bands`, if given), for `weighted`.", minimum=0.0, maximum=1e6
+    )
+    reference_spectrum: tuple[float, ...] = parameter(
+        (),
+        "Spectrum that is sought, above the black level: a value for each band (each of `raw.bands`, if given), for "
+        "`spectral_angle`.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PreprocessParameters:
+    smoothing_px: float = parameter(
+        0.0, "Sigma of a Gaussian that smooths the grey picture; 0: none.", unit="px", minimum=0.0, maximum=20.0
+    )
+    contrast: float = parameter(1.0, "Factor of the grey values, clamped to 0 ... 255.", minimum=0.01, maximum=100.0)
+    brightness: float = parameter(0.0, "Added to the grey values, clamped to 0 ... 255.", minimum=-255.0, maximum=255.0)
+    gamma: float = parameter(
+        1.0, "Exponent of the grey values; below 1: brighter, above: darker.", minimum=0.1, maximum=10.0
+    )
+    equalisation: str = parameter(
+        "none",
+        "Spread the grey values evenly: over the whole picture, or tile by tile with limited contrast.",
+        choices=("none", "global", "clahe"),
+    )
+    edges: str = parameter(
+        "none",
+        "Seek keypoints on edges instead of grey values: on the gradient's length, or on Canny's lines.",
+        choices=("none", "strength", "canny"),
+    )
+    threshold: str = parameter(
+        "none",
+        "Make the picture black and white: at `preprocess.threshold_value`, or where Otsu's method says.",
+        choices=("none", "fixed", "otsu"),
+    )
+    threshold_value: float = parameter(
+        128.0, "Grey value from which on a pixel is white, for `fixed`.", minimum=0.0, maximum=255.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class PyramidParameters:
     kind: str = parameter(
-        "fine", "`coarse`: octaves; `fine`: several scales in every octave.", choices=("coarse", "fine")
+        "fine",
+        "`coarse`: octaves; `fine`: several scales in every octave; `laplacian`: octaves, as bands of detail.",
+        choices=("coarse", "fine", "laplacian"),
     )
-    kernel: str = parameter("sampled", "Gaussian kernel that smooths before subsampling.", choices=("sampled",))
+    kernel: str = parameter(
+        "sampled",
+        "Gaussian kernel that smooths before subsampling, and for `preprocess.smoothing_px`.",
+        choices=("sampled", "discrete", "recursive"),
+    )
     levels: int = parameter(8, "Most levels; fewer when the image gets too small.", minimum=1, maximum=32)
     scales_per_octave: int = parameter(3, "Levels in an octave when `pyramid.kind` is `fine`.", minimum=1, maximum=8)
     max_side_px: int = parameter(
@@ -247,6 +297,7 @@ class Parameters:
     path: PathParameters = field(default_factory=PathParameters)
     demosaic: DemosaicParameters = field(default_factory=DemosaicParameters)
     raw: RawParameters = field(default_factory=RawParameters)
+    preprocess: PreprocessParameters = field(default_factory=PreprocessParameters)
     pyramid: PyramidParameters = field(default_factory=PyramidParameters)
     keypoints: KeypointsParameters = field(default_factory=KeypointsParameters)
     descriptor: DescriptorParameters = field(default_factory=DescriptorParameters)
@@ -449,3 +500,22 @@ def _check_together(parameters: Parameters) -> None:
     black, white = parameters.raw.black_level, parameters.raw.white_level
     if 0 < white <= black:
         raise ParameterError(f"raw.white_level: {white:g}; need more than raw.black_level ({black:g})")
+    _check_bands(parameters.raw)
+
+
+def _check_bands(raw: RawParameters) -> None:
+    """Refuse a band mode whose weights or reference are missing, or do not go with the chosen bands."""
+    name, values = {
+        "weighted": ("raw.band_weights", raw.band_weights),
+        "spectral_angle": ("raw.reference_spectrum", raw.reference_spectrum),
+    }.get(raw.band_mode, ("", ()))
+    if not name:
+        return
+    if not values:
+        raise ParameterError(f"{name}: none; need one value for each band when raw.band_mode is {raw.band_mode!r}")
+    if raw.bands and len(values) != len(raw.bands):
+        raise ParameterError(f"{name}: {len(values)} values; need {len(raw.bands)}, one for each of raw.bands")
+    if not any(values):
+        raise ParameterError(f"{name}: all 0; need at least one other value")
+    if raw.band_mode == "spectral_angle" and len(values) < 2:
+        raise ParameterError(f"{name}: 1 value; need 2 or more for an angle between spectra")

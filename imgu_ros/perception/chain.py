@@ -14,6 +14,7 @@ from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.develop import Developed, develop
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.posing import posed
+from imgu_ros.perception.preprocessing import preprocessed
 from imgu_ros.perception.refinement import Alignment
 from imgu_ros.perception.result import Result, Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.search import Searched, search
@@ -138,7 +139,7 @@ class Chain:
         p = self._parameters
         with clock.measures(Stage.PYRAMID):
             pyramid = build_pyramid(
-                developed.grey,
+                preprocessed(developed.grey, p.preprocess, p.pyramid.kernel),
                 p.pyramid.kind,
                 p.pyramid.levels,
                 p.pyramid.scales_per_octave,

@@ -10,13 +10,14 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.preprocessing import preprocessed
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.metrics import metric_for
-from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
+from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, band_passed, build_pyramid
 
 #: A target may fill this many times the frame's longer side.
 _LARGEST_VIEW = 2
@@ -116,7 +117,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     metric = metric_for(parameters.descriptor.kind, parameters.matching.metric)
     grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     pyramid = build_pyramid(
-        grey,
+        preprocessed(grey, parameters.preprocess, parameters.pyramid.kernel),
         PyramidKind.FINE,
         levels=32,
         scales_per_octave=parameters.pyramid.scales_per_octave,
@@ -124,6 +125,8 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         min_side_px=48,
         kernel=parameters.pyramid.kernel,
     )
+    if parameters.pyramid.kind == PyramidKind.LAPLACIAN:
+        pyramid = band_passed(pyramid)
     keypoints = detect(
         pyramid, parameters.keypoints.detector, _RICHNESS * parameters.keypoints.max_count, even_scales=True
     )
