@@ -8,6 +8,7 @@ import numpy as np
 from imgu_ros.errors import ShapeError
 from imgu_ros.params import DemosaicParameters, RawParameters
 from imgu_ros.types import Image, as_image
+from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
@@ -85,7 +86,9 @@ class Developed:
             else:
                 grey = cv2.cvtColor(demosaic(balanced, layout.pattern, self._method), cv2.COLOR_RGB2GRAY)
         elif layout.color is ColorModel.BANDS:
-            grey = self._mean_of_bands()
+            grey = self._grey_from_bands()
+            if self._raw.band_mode in (BandMode.PRINCIPAL_COMPONENT, BandMode.SPECTRAL_ANGLE):
+                black, white = 0.0, None  # no raw values: the levels of raw data mean nothing to them
         elif layout.color is ColorModel.ARGB:
             grey = cv2.cvtColor(np.ascontiguousarray(pixels[..., 1:]), cv2.COLOR_RGB2GRAY)
         elif layout.color is ColorModel.MONO:
@@ -110,22 +113,21 @@ class Developed:
             return np.ascontiguousarray(pixels[..., 1:])
         return cv2.cvtColor(pixels, _TO_RGB[layout.color])
 
-    def _mean_of_bands(self) -> Image:
-        pixels = self._pixels if self._pixels.ndim == 3 else self._pixels[:, :, None]
-        chosen = list(self._raw.bands) or list(range(pixels.shape[2]))
-        if max(chosen) >= pixels.shape[2]:
-            raise ShapeError(f"raw.bands: {max(chosen)}; need 0 to {pixels.shape[2] - 1} (the image's bands)")
-        if len(chosen) == 1 and pixels.dtype in (np.uint8, np.uint16):
-            return np.ascontiguousarray(pixels[:, :, chosen[0]])
-        with np.errstate(invalid="ignore", over="ignore"):
-            mean = np.asarray(np.mean(pixels[:, :, chosen], axis=2, dtype=np.float64))
-        if pixels.dtype.kind == "f":
-            # Pixels without a value are dark, and must not stretch the range of the others.
-            valid = np.isfinite(mean)
-            mean[~valid] = mean[valid].min() if valid.any() else 0.0
-            largest = float(np.finfo(np.float32).max)
-            np.clip(mean, -largest, largest, out=mean)
-        return mean.astype(np.float32)
+    def _grey_from_bands(self) -> Image:
+        raw, pixels = self._raw, self._pixels
+        available = 1 if pixels.ndim == 2 else pixels.shape[2]
+        if raw.bands and max(raw.bands) >= available:
+            raise ShapeError(f"raw.bands: {max(raw.bands)}; need 0 to {available - 1} (the image's bands)")
+        count, mode = len(raw.bands) or available, BandMode(raw.band_mode)
+        weights, reference = raw.band_weights, raw.reference_spectrum
+        if mode is BandMode.WEIGHTED and len(weights) != count:
+            raise ShapeError(f"raw.band_weights: {len(weights)} values; need {count}, one for each band")
+        if mode is BandMode.SPECTRAL_ANGLE:
+            if len(reference) != count:
+                raise ShapeError(f"raw.reference_spectrum: {len(reference)} values; need {count}, one for each band")
+            if raw.black_level:
+                pixels = pixels - np.asarray(raw.black_level, np.float64)  # an angle is about the spectrum of no light
+        return grey_from_bands(pixels, mode, raw.bands, weights, reference)
 
     def _white_level(self) -> float | None:
         """The raw value of full scale, or None when the data are to tell."""

@@ -13,6 +13,8 @@ from imgu_ros.types import Choice, Floats, Image, Mask, as_matrix
 
 _LARGEST = float(np.finfo(np.float32).max)
 _SAMPLES = 1 << 16
+#: pi less the angle of a pixel without a direction, in single precision.
+_UNLIKE = 1e-6
 _ROWS = 64
 
 
@@ -63,7 +65,8 @@ def grey_from_bands(
     if mode is BandMode.PRINCIPAL_COMPONENT:
         return principal_component(cube)
     if mode is BandMode.SPECTRAL_ANGLE:
-        return np.asarray(np.float32(np.pi) - spectral_angle(cube, reference), np.float32)
+        likeness = np.pi - spectral_angle(cube, reference).astype(np.float64)
+        return _filled(np.where(likeness > _UNLIKE, likeness, np.nan), True)
     if mode is BandMode.WEIGHTED:
         return mean_of_bands(cube, weights)
     if cube.shape[2] == 1 and cube.dtype in (np.uint8, np.uint16):
