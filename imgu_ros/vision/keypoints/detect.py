@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,9 @@ from imgu_ros.vision.keypoints.dog import SIFT_SIGMA_PX, detect_dog
 from imgu_ros.vision.keypoints.fast import detect_fast
 from imgu_ros.vision.keypoints.harris import detect_harris
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints
+from imgu_ros.vision.keypoints.moravec import detect_moravec
+from imgu_ros.vision.keypoints.mser import detect_mser
 from imgu_ros.vision.keypoints.orb import detect_orb
-from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
@@ -23,25 +25,32 @@ class Detector(Choice):
 
     FAST = "fast"
     HARRIS = "harris"
+    MORAVEC = "moravec"
     DOG = "dog"
+    MSER = "mser"
     ORB = "orb"
 
 
 def detect(
-    pyramid: Pyramid, detector: Detector | str = Detector.ORB, max_count: int = 1000, even_scales: bool = False
+    pyramid: Pyramid,
+    detector: Detector | str = Detector.ORB,
+    max_count: int = 1000,
+    even_scales: bool = False,
+    fast_arc: int = 9,
 ) -> Keypoints:
     """Find keypoints on every level of a pyramid.
 
     Each level gets a share of `max_count` in proportion to its area, or the same share with `even_scales` (for a
-    picture that will be looked for at any scale); within a level the strongest are taken cell
+    picture that will be looked for at any scale); within a level half are the strongest and the others are taken cell
     by cell, so that one busy corner of the picture does not get them all.
 
     Parameters
     ----------
     pyramid : of a (H, W) uint8 image
-    detector : fast, harris, dog or orb. `dog` builds its own scale space from level 0.
+    detector : fast, harris, moravec, dog, mser or orb. `dog` and `mser` find every scale on level 0 by themselves.
     max_count : most keypoints, >= 1
     even_scales : the same share for every level
+    fast_arc : contiguous pixels of the ring that make a corner, 9 to 12; for fast
 
     Returns
     -------
@@ -50,7 +59,16 @@ def detect(
     Raises
     ------
     ShapeError
-        If the pyramid is not uint8, the detector is unknown or max_count is not positive.
+        If the pyramid is not uint8, the detector is unknown, max_count is not positive, or fast_arc not 9 to 12.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from imgu_ros.vision.scale_space.pyramid import build_pyramid
+    >>> image = np.kron(np.random.default_rng(0).integers(0, 256, (12, 16)), np.ones((20, 20))).astype(np.uint8)
+    >>> keypoints = detect(build_pyramid(image), "harris", max_count=100)
+    >>> len(keypoints), int(keypoints.octave.max())
+    (100, 2)
     """
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")
@@ -58,7 +76,9 @@ def detect(
         raise ShapeError(f"pyramid: data type {pyramid.levels[0].image.dtype}; need uint8")
     detector = Detector(detector)
     function = _DETECTORS[detector]
-    levels = pyramid.levels[:1] if detector is Detector.DOG else pyramid.levels
+    if detector is Detector.FAST:
+        function = partial(detect_fast, arc=fast_arc)
+    levels = pyramid.levels[:1] if detector in _OF_EVERY_SCALE else pyramid.levels
     areas = np.array([1 if even_scales else level.image.size for level in levels], np.float64)
     shares = np.floor(max_count * areas / areas.sum()).astype(int)
     shares[0] += max_count - shares.sum()
@@ -67,18 +87,9 @@ def detect(
         if share == 0:
             continue
         corners = function(level.image, int(share))
-        kept = spread(corners.xy, corners.response, (level.image.shape[1], level.image.shape[0]), int(share))
-        found.append(
-            Keypoints(
-                xy=level.to_full(corners.xy[kept]),
-                scale=corners.scale[kept] * level.scale,
-                angle=corners.angle[kept],
-                response=corners.response[kept],
-                octave=_octaves(pyramid, corners.scale[kept] * level.scale)
-                if detector is Detector.DOG
-                else np.full(len(kept), index, np.int32),
-            )
-        )
+        scale = corners.scale * level.scale
+        octave = _octaves(pyramid, scale) if detector in _OF_EVERY_SCALE else np.full(len(scale), index, np.int32)
+        found.append(Keypoints(level.to_full(corners.xy), scale, corners.angle, corners.response, octave))
     return Keypoints(
         xy=np.concatenate([f.xy for f in found]),
         scale=np.concatenate([f.scale for f in found]),
@@ -97,6 +108,11 @@ def _octaves(pyramid: Pyramid, scale: Floats) -> NDArray[np.int32]:
 _DETECTORS: dict[Detector, Callable[[Image, int], Corners]] = {
     Detector.FAST: detect_fast,
     Detector.HARRIS: detect_harris,
+    Detector.MORAVEC: detect_moravec,
     Detector.DOG: detect_dog,
+    Detector.MSER: detect_mser,
     Detector.ORB: detect_orb,
 }
+
+#: These look for structures of every size on one picture.
+_OF_EVERY_SCALE = {Detector.DOG, Detector.MSER}

@@ -7,32 +7,49 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.opencv import corners_from_opencv
+from imgu_ros.vision.keypoints.spreading import spread
 
 #: Blur of SIFT's first scale, px (Lowe 2004, section 3.3).
 SIFT_SIGMA_PX = 1.6
 
 #: OpenCV doubles the picture first, aligning pixel areas, and halves the coordinates, as if centres had been aligned.
 _SHIFT_PX = 0.25
-_SURPLUS = 2
 _SIGMA_PER_SIZE = 0.5  # OpenCV's size is the diameter 2 sigma
 
 
 def detect_dog(image: Image, max_count: int) -> Corners:
     """Find extrema of the difference of Gaussians on one picture, at every scale, with orientations.
 
+    Extrema among 26 neighbours in space and scale, interpolated by a quadratic, without those of low contrast or on
+    edges; a keypoint for every strong peak of the histogram of gradient directions; spread over the picture.
+
     Parameters
     ----------
     image : (H, W) uint8
-    max_count : wanted number; up to twice as many are returned, for spreading to choose from
+    max_count : most keypoints, >= 1
+
+    Returns
+    -------
+    Corners, strongest first; scale is the blur of the lower of the two Gaussians whose difference is extremal. For a
+    Gaussian blob of sigma s, with the half pixel of blur that cameras are taken to give, s^2 = 2^(1/3) (scale^2 - 1/4).
+
+    Raises
+    ------
+    ShapeError
+        If `image` is not such an image or `max_count` is not positive.
 
     Notes
     -----
-    OpenCV doubles the picture first; on 1920x1080 it takes about 575 MB.
+    Lowe, "Distinctive image features from scale-invariant keypoints", 2004, sections 3 to 5, in OpenCV's version.
+    OpenCV doubles the picture first: peak memory on 1920x1080: 575 MB.
     """
     image = as_image(image, dtypes=(np.uint8,))
-    found = cv2.SIFT.create(nfeatures=_SURPLUS * max_count).detect(image, None)
-    corners = corners_from_opencv(found, _SIGMA_PER_SIZE, with_angle=True)
-    return replace(corners, xy=corners.xy - _SHIFT_PX)
+    if max_count < 1:
+        raise ShapeError(f"max_count: {max_count}; need at least 1")
+    corners = corners_from_opencv(cv2.SIFT.create().detect(image, None), _SIGMA_PER_SIZE, with_angle=True)
+    corners = replace(corners, xy=corners.xy - _SHIFT_PX)
+    return corners.chosen(spread(corners.xy, corners.response, (image.shape[1], image.shape[0]), max_count))

@@ -28,6 +28,10 @@ class Corners:
     angle: Floats
     response: Floats
 
+    def chosen(self, which: Indices | Mask) -> Corners:
+        """Return the keypoints of the given indices or mask."""
+        return Corners(self.xy[which], self.scale[which], self.angle[which], self.response[which])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keypoints:
