@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.types import Floats, Points
+from imgu_ros.types import Floats, Points, as_points
 from imgu_ros.vision.camera.distortion import COEFFICIENTS, DistortionModel, bend_with_derivatives
 from imgu_ros.vision.camera.pose_problem import point_by_pose
 from imgu_ros.vision.camera.rigid import RigidTransform
@@ -43,11 +43,19 @@ class BundleProblem:
     plane_xy : (N, 2) m
     views : V times (N, 2) raw px
     model : of the lens
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape or is not finite, or a view another number of points.
     """
 
     def __init__(self, plane_xy: Points, views: Sequence[Points], model: DistortionModel) -> None:
-        self._plane = plane_xy
-        self._pixels = np.concatenate(views)
+        self._plane = as_points(plane_xy, "plane_xy", 1)
+        pixels = [as_points(view, f"views[{index}]") for index, view in enumerate(views)]
+        if not pixels or any(len(view) != len(self._plane) for view in pixels):
+            raise ShapeError(f"views: {[len(view) for view in pixels]} points; need {len(self._plane)} in each")
+        self._pixels = np.concatenate(pixels)
         self._model = model
         self._count = len(views)
         self._shared = 4 + COEFFICIENTS[model]

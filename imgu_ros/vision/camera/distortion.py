@@ -211,12 +211,14 @@ def as_coefficients(coefficients: ArrayLike, model: DistortionModel) -> Floats:
         If there are too many, or one is not a finite number.
     """
     try:
-        given = np.asarray(coefficients, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ShapeError(f"distortion: {coefficients!r:.80}; need numbers") from None
-    if given.ndim == 1 and len(given) == COEFFICIENTS[model] and np.isfinite(given).all():
+        raw = np.asarray(coefficients)
+        given = raw.astype(np.float64).ravel() if raw.dtype.kind in "biufO" else None
+    except (TypeError, ValueError, OverflowError):
+        given = None
+    if given is None:
+        raise ShapeError(f"distortion: {type(coefficients).__name__}; need numbers")
+    if len(given) == COEFFICIENTS[model] and np.isfinite(given).all():
         return given
-    given = given.ravel()
     if len(given) > COEFFICIENTS[model] or not np.isfinite(given).all():
         raise ShapeError(f"distortion: {given.tolist()}; need at most {COEFFICIENTS[model]} finite numbers for {model}")
     whole = np.zeros(COEFFICIENTS[model])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
-from imgu_ros.types import Floats, Points, as_points
+from imgu_ros.types import Floats, Points, as_matrix, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_problem import PoseProblem
@@ -69,6 +69,10 @@ def planar_poses(
     if len(plane_xy) != len(pixels):
         raise ShapeError(f"pixels: {len(pixels)} points; need {len(plane_xy)}, one for each of plane_xy")
     require_spread(plane_xy, "plane_xy")
+    if correlation is not None:
+        correlation = as_matrix(correlation, (len(pixels), len(pixels)), "correlation")
+    if noise_px is not None and not 0 < noise_px < math.inf:
+        raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")
     normalized, valid = camera.undistort(pixels)
     require_spread(normalized[valid], "pixels")
     among_valid = None if correlation is None else correlation[np.ix_(valid, valid)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.types import Floats, Points, as_matrix, as_rows
+from imgu_ros.types import Floats, Points, as_matrix, as_points, as_rows
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.nonlinear import Linearisation
@@ -22,11 +22,19 @@ class PoseProblem:
     points : (N, 3) m, or (N, 2) on the plane z = 0
     pixels : (N, 2) raw px
     camera : intrinsics
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape or is not finite.
     """
 
     def __init__(self, points: Floats, pixels: Points, camera: Camera) -> None:
-        self._points = points
-        self._pixels = pixels
+        on_plane = isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] == 2
+        self._points = as_rows(points, 2 if on_plane else 3, "points", 1)
+        self._pixels = as_points(pixels, "pixels")
+        if len(self._points) != len(self._pixels):
+            raise ShapeError(f"pixels: {len(self._pixels)} points; need {len(self._points)}, one for each of points")
         self._camera = camera
 
     def residuals(self, estimate: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points, as_rows
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points, as_rows
 from imgu_ros.vision.camera.projection import depths, finite_camera
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
@@ -134,8 +134,12 @@ def design_matrix(world: Floats, pixels: Points) -> Floats:
     -------
     (..., 2 N, 12)
     """
-    if world.shape[:-1] != pixels.shape[:-1] or world.shape[-1:] != (3,) or pixels.shape[-1:] != (2,):
-        raise ShapeError(f"world, pixels: shapes {world.shape}, {pixels.shape}; need (..., N, 3) and (..., N, 2)")
+    shapes = [np.shape(array) if isinstance(array, np.ndarray) else () for array in (world, pixels)]
+    if len(shapes[0]) < 2 or shapes[0][:-1] != shapes[1][:-1] or shapes[0][-1] != 3 or shapes[1][-1] != 2:
+        raise ShapeError(f"world, pixels: shapes {shapes[0]}, {shapes[1]}; need (..., N, 3) and (..., N, 2)")
+    world, pixels = as_matrix(world, shapes[0], "world"), as_matrix(pixels, shapes[1], "pixels")
+    if max(np.abs(world).max(initial=0), np.abs(pixels).max(initial=0)) > _LARGEST:
+        raise ShapeError("world, pixels: overflow; need numbers of the size of a scene and a picture")
     X = np.concatenate((world, np.ones_like(world[..., :1])), axis=-1)
     A = np.zeros((*world.shape[:-1], 2, 12))
     A[..., 0, 4:8] = -X

@@ -49,7 +49,7 @@ def rigid_transform(numbers: ArrayLike, name: str = "transform") -> RigidTransfo
         If they are not seven finite numbers, or the quaternion is zero.
     """
     values = as_matrix(numbers, (7,), name)
-    if np.linalg.norm(values[3:]) < _SHORTEST_QUATERNION:
+    if np.abs(values[3:]).max() < _SHORTEST_QUATERNION:
         raise ShapeError(f"{name}: quaternion {values[3:].tolist()}; need one of unit length")
     return RigidTransform(from_quaternion(values[3:]), values[:3].copy())
 
@@ -62,7 +62,11 @@ def rigid_transforms(numbers: ArrayLike, name: str = "transforms") -> tuple[Rigi
     ShapeError
         If their count is no multiple of seven, or seven of them are no transform: `name[index]`.
     """
-    values = np.asarray(numbers, np.float64).ravel()
+    try:
+        raw = np.asarray(numbers)
+    except ValueError:
+        raise ShapeError(f"{name}: ragged; need seven numbers a transform: x y z qx qy qz qw") from None
+    values = as_matrix(raw, raw.shape, name).ravel()
     if values.size % 7:
         raise ShapeError(f"{name}: {values.size} numbers; need seven a transform: x y z qx qy qz qw")
     return tuple(rigid_transform(row, f"{name}[{i}]") for i, row in enumerate(values.reshape(-1, 7)))

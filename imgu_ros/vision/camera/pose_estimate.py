@@ -1,0 +1,202 @@
+"""A calibrated camera's pose from points in space, with or without wrong correspondences (notes 8.1.5, 7.5).
+
+The start is SQPnP (Terzakis & Lourakis 2020) or, in samples of three, P3P, both from OpenCV; the refinement and the
+covariance are ours. For points of one plane, `planar_pose` also tells the second solution.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
+from imgu_ros.types import Floats, Indices, Mask, Points, as_points, as_rows
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose_problem import PoseProblem
+from imgu_ros.vision.camera.rotation import exp_so3
+from imgu_ros.vision.estimation.covariance import propagated_covariance
+from imgu_ros.vision.estimation.nonlinear import minimise
+from imgu_ros.vision.estimation.ransac import ransac
+
+_FEWEST_POINTS = 4
+#: Smallest extent of the points across their main line, as a share of the largest (both RMS).
+_NARROWEST = 1e-3
+_LARGEST = 1e9
+
+
+def fit_pose(points: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: float | None = None) -> Pose:
+    """Estimate camera_from_object from correspondences without outliers.
+
+    Parameters
+    ----------
+    points : (N, 3) m, N >= 4, not on a line
+    pixels : (N, 2) raw px, distortion and all
+    camera : intrinsics
+    noise_px : standard deviation of a pixel coordinate; None: from the residuals
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape or is not finite.
+    TooFewPoints
+        If there are fewer than four points (within the lens model's range).
+    DegenerateConfiguration
+        If the points do not determine a pose with all of them in front of the camera.
+
+    Examples
+    --------
+    >>> from imgu_ros.vision.camera.intrinsics import make_camera
+    >>> camera = make_camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], (), "plumb_bob", 640, 480)
+    >>> points = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, 0.2], [0.2, 0.2, 0.1]])
+    >>> fit_pose(points, camera.project(points + [0.1, 0.0, 1.0]), camera).t.round(9).tolist()
+    [0.1, 0.0, 1.0]
+    """
+    points, pixels = _pairs(points, pixels)
+    if noise_px is not None and not 0 < noise_px < math.inf:
+        raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")
+    normalized, valid = camera.undistort(pixels)
+    points, pixels, normalized = points[valid], pixels[valid], normalized[valid]
+    if len(points) < _FEWEST_POINTS:
+        raise TooFewPoints(f"pixels: {len(points)} within the lens model's range; need at least {_FEWEST_POINTS}")
+    singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not singular[1] > _NARROWEST * singular[0]:
+        raise DegenerateConfiguration(f"points: {len(points)} on a line; need points that span a plane at least")
+    minimum = minimise(PoseProblem(points, pixels, camera), _sqpnp(points, normalized), max_iterations=30)
+    R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
+    rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
+    return Pose(R, t, propagated_covariance(minimum, noise_px), rms)
+
+
+def estimate_pose(
+    points: ArrayLike,
+    pixels: ArrayLike,
+    camera: Camera,
+    rng: np.random.Generator,
+    *,
+    threshold_px: float = 3.0,
+    confidence: float = 0.9999,
+    max_iterations: int = 2000,
+) -> tuple[Pose, Mask]:
+    """Estimate camera_from_object by sample consensus, then refine it on the inliers.
+
+    Parameters
+    ----------
+    points, pixels, camera : as in `fit_pose`
+    rng : source of the draws
+    threshold_px : largest reprojection error of an inlier
+    confidence, max_iterations : see `ransac`
+
+    Returns
+    -------
+    pose, and which correspondences agree with it, (N,)
+
+    Raises
+    ------
+    TooFewPoints, NoConsensus, DegenerateConfiguration
+        If the correspondences, or those that agree, do not determine a pose.
+    """
+    model = PoseModel(points, pixels, camera)
+    consensus = ransac(
+        model, threshold_px, rng, confidence=confidence, max_iterations=max_iterations, min_inliers=6, unit=" px"
+    )
+    pose = fit_pose(model.points[consensus.inliers], model.pixels[consensus.inliers], camera)
+    agreeing = model.squared_errors(np.column_stack((pose.R, pose.t))[None])[0] <= threshold_px**2
+    return pose, agreeing
+
+
+class PoseModel:
+    """The model of `ransac` for poses of a calibrated camera: hypotheses are [R | t], (B, 3, 4), errors squared px.
+
+    Parameters
+    ----------
+    points, pixels, camera : as in `fit_pose`
+    """
+
+    def __init__(self, points: ArrayLike, pixels: ArrayLike, camera: Camera) -> None:
+        self.points, self.pixels = _pairs(points, pixels)
+        self._camera = camera
+        self._normalized, self._valid = camera.undistort(self.pixels)
+
+    @property
+    def count(self) -> int:
+        """Number of correspondences."""
+        return len(self.points)
+
+    @property
+    def sample_size(self) -> int:
+        """Three correspondences leave up to four poses."""
+        return 3
+
+    def generate(self, samples: Indices) -> Floats:
+        """Return the poses, (B', 3, 4), of samples (B, 3): up to four of each."""
+        poses = []
+        for sample in samples[self._valid[samples].all(axis=1)]:
+            poses += _p3p(self.points[sample], self._normalized[sample])
+        return np.stack(poses) if poses else np.zeros((0, 3, 4))
+
+    def squared_errors(self, hypotheses: Floats) -> Floats:
+        """Return the squared reprojection errors (B, N) in raw px; inf for points behind the camera."""
+        turned = np.einsum("bij,nj->bni", hypotheses[:, :, :3], self.points) + hypotheses[:, None, :, 3]
+        in_front = turned[:, :, 2] > 1e-9 * np.abs(turned).max(axis=2)
+        squared = np.full(in_front.shape, np.inf)
+        if in_front.any():
+            try:
+                seen = self._camera.project(turned[in_front])
+            except ShapeError:  # a wild hypothesis: points so far off the axis that the lens model overflows
+                return squared
+            measured = np.broadcast_to(self.pixels, (len(hypotheses), *self.pixels.shape))[in_front]
+            squared[in_front] = np.minimum(((seen - measured) ** 2).sum(axis=1), 1e30)
+        return squared
+
+    def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
+        """Return the refined pose of all inliers."""
+        del hypothesis
+        pose = fit_pose(self.points[inliers], self.pixels[inliers], self._camera)
+        return np.column_stack((pose.R, pose.t))
+
+
+def _sqpnp(points: Floats, normalized: Points) -> Floats:
+    """Return the best start, a rigid transform (4, 4)."""
+    try:
+        done, rvec, tvec = cv2.solvePnP(
+            points, np.ascontiguousarray(normalized), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_SQPNP
+        )
+    except cv2.error as error:
+        raise DegenerateConfiguration(f"points: no pose ({' '.join(str(error.err).split())})") from None
+    if not (done and np.isfinite(rvec).all() and np.isfinite(tvec).all()):
+        raise DegenerateConfiguration("points: no pose in front of the camera explains them; need points in its view")
+    start = np.eye(4)
+    start[:3, :3] = exp_so3(np.asarray(rvec, np.float64).ravel())
+    start[:3, 3] = np.asarray(tvec, np.float64).ravel()
+    return start
+
+
+def _p3p(points: Floats, normalized: Points) -> list[Floats]:
+    try:
+        _, rotations, translations = cv2.solveP3P(
+            points, np.ascontiguousarray(normalized), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_AP3P
+        )
+    except cv2.error:
+        return []  # a degenerate sample
+    poses = []
+    for rvec, tvec in zip(rotations, translations, strict=True):
+        if np.isfinite(rvec).all() and np.isfinite(tvec).all():
+            R = exp_so3(np.asarray(rvec, np.float64).ravel())
+            poses.append(np.column_stack((R, np.asarray(tvec, np.float64).ravel())))
+    return poses
+
+
+def _pairs(points: ArrayLike, pixels: ArrayLike) -> tuple[Floats, Points]:
+    points, pixels = as_rows(points, 3, "points"), as_points(pixels, "pixels")
+    if len(points) != len(pixels):
+        raise ShapeError(f"pixels: {len(pixels)} points; need {len(points)}, one for each of points")
+    if len(points) < _FEWEST_POINTS:
+        raise TooFewPoints(f"points, pixels: {len(points)}; need at least {_FEWEST_POINTS}")
+    largest = max(float(np.abs(points).max()), float(np.abs(pixels).max()))
+    if largest > _LARGEST:
+        raise ShapeError(f"points, pixels: up to {largest:g}; need numbers of the size of a scene and a picture")
+    return points, pixels
