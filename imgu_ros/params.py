@@ -157,16 +157,16 @@ class PreprocessParameters:
     )
     edges: str = parameter(
         "none",
-        "Seek keypoints on edges instead of grey values: on the gradient's length, or on Canny's lines.",
-        choices=("none", "strength", "canny"),
+        "Seek keypoints on the gradient's length, on every level of the pyramid, instead of on grey values.",
+        choices=("none", "strength"),
     )
     threshold: str = parameter(
         "none",
-        "Make the picture black and white: at `preprocess.threshold_value`, or where Otsu's method says.",
+        "Make the picture black and white: where Otsu's method says, or frames at `preprocess.threshold_value`.",
         choices=("none", "fixed", "otsu"),
     )
     threshold_value: float = parameter(
-        128.0, "Grey value from which on a pixel is white, for `fixed`.", minimum=0.0, maximum=255.0
+        128.0, "Grey value from which on a pixel of a frame is white, for `fixed`.", minimum=0.0, maximum=255.0
     )
 
 
@@ -501,6 +501,17 @@ def _check_together(parameters: Parameters) -> None:
     if 0 < white <= black:
         raise ParameterError(f"raw.white_level: {white:g}; need more than raw.black_level ({black:g})")
     _check_bands(parameters.raw)
+    if parameters.keypoints.detector == "dog":
+        # It builds its own scale space, of level 0 alone.
+        for name, value, wrong in (
+            ("pyramid.kind", parameters.pyramid.kind, "laplacian"),
+            ("preprocess.edges", parameters.preprocess.edges, "strength"),
+        ):
+            if value == wrong:
+                raise ParameterError(
+                    f"{name}: {wrong!r} changes every level, and keypoints.detector 'dog' sees the finest one only; "
+                    f"need another detector, or another value"
+                )
 
 
 def _check_bands(raw: RawParameters) -> None:

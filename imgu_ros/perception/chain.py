@@ -14,7 +14,7 @@ from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.develop import Developed, develop
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.posing import posed
-from imgu_ros.perception.preprocessing import preprocessed
+from imgu_ros.perception.preprocessing import preprocessed, with_edges
 from imgu_ros.perception.refinement import Alignment
 from imgu_ros.perception.result import Result, Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.search import Searched, search
@@ -146,6 +146,7 @@ class Chain:
                 p.pyramid.max_side_px,
                 kernel=p.pyramid.kernel,
             )
+            pyramid = with_edges(pyramid, p.preprocess)
         with clock.measures(Stage.KEYPOINTS):
             keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count)
         with clock.measures(Stage.DESCRIBE):

@@ -1,35 +1,34 @@
-"""Changes to the grey picture before keypoints are sought: off by default."""
+"""Changes to the grey picture before keypoints are sought: off by default.
+
+Targets and frames go through the same steps before keypoints are sought and described. Alignment of patches does not:
+it matches brightness and contrast itself, and its precision lives in grey ramps that clamping, tile-wise equalisation
+and thresholds destroy.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
-import numpy as np
 
 from imgu_ros.params import PreprocessParameters
 from imgu_ros.types import Image
 from imgu_ros.vision.processing.derivatives import gradient
-from imgu_ros.vision.processing.edges import canny
 from imgu_ros.vision.processing.histograms import equalised, equalised_locally
 from imgu_ros.vision.processing.points import adjust, gamma_corrected
 from imgu_ros.vision.processing.thresholding import otsu_threshold, thresholded
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
+from imgu_ros.vision.scale_space.pyramid import Level, Pyramid
 
-#: A slope of so many grey values per px becomes white: a step edge between black and mid-grey.
-_WHITE_SLOPE = 63.75
-#: Canny's thresholds, grey values per px.
-_CANNY = (4.0, 10.0)
+#: A slope of so many grey values per px becomes white: a step from black to mid-grey.
+_WHITE_SLOPE = 64.0
 
 
 def preprocessed(
     grey: Image, parameters: PreprocessParameters, kernel: GaussianKernel | str = GaussianKernel.SAMPLED
 ) -> Image:
-    """Apply the wanted steps: smoothing, contrast and brightness, gamma, equalisation, edges, threshold, in this order.
-
-    Targets and frames go through the same steps before keypoints are sought and described. Alignment of patches does
-    not: it matches brightness and contrast itself, and its precision lives in grey ramps that clamping, tile-wise
-    equalisation and thresholds destroy.
+    """Apply the wanted steps: smoothing, contrast and brightness, gamma, equalisation, threshold, in this order.
 
     Parameters
     ----------
@@ -53,19 +52,39 @@ def preprocessed(
         grey = adjust(grey, p.contrast, p.brightness)
     if p.gamma != 1.0:
         grey = gamma_corrected(grey, p.gamma)
-    grey = _EQUALISATIONS[p.equalisation](grey)
-    grey = _EDGES[p.edges](grey)
-    return _THRESHOLDS[p.threshold](grey, p.threshold_value)
+    return _THRESHOLDS[p.threshold](_EQUALISATIONS[p.equalisation](grey), p.threshold_value)
+
+
+def for_targets(parameters: PreprocessParameters) -> PreprocessParameters:
+    """Return the steps for pictures of targets: a fixed threshold becomes Otsu's.
+
+    A fixed value speaks of the camera's exposure, which a target's picture does not know.
+    """
+    return replace(parameters, threshold="otsu") if parameters.threshold == "fixed" else parameters
+
+
+def with_edges(pyramid: Pyramid, parameters: PreprocessParameters) -> Pyramid:
+    """Replace each level by the strength of its edges, when that is wanted.
+
+    On every level, not before the pyramid is built: the gradient's length is no linear function of the picture, and a
+    small view of a target shows the edges of that scale.
+
+    Parameters
+    ----------
+    pyramid : of (H, W) uint8 images
+    parameters : the steps
+
+    Returns
+    -------
+    Levels min(255, 4 |gradient|), uint8; `pyramid` itself when nothing is wanted.
+    """
+    if parameters.edges == "none":
+        return pyramid
+    return Pyramid(tuple(Level(_strength(level.image), level.step) for level in pyramid.levels))
 
 
 def _strength(grey: Image) -> Image:
-    return cv2.convertScaleAbs(gradient(grey).magnitude, alpha=255 / _WHITE_SLOPE)
-
-
-def _canny(grey: Image) -> Image:
-    # Lines of one pixel have no corners to hold on to: they are given a width.
-    lines = canny(grey, *_CANNY).astype(np.uint8) * np.uint8(255)
-    return smooth(cv2.dilate(lines, np.ones((3, 3), np.uint8)), 1.0)
+    return cv2.convertScaleAbs(gradient(grey).magnitude, alpha=256 / _WHITE_SLOPE)
 
 
 _EQUALISATIONS: dict[str, Callable[[Image], Image]] = {
@@ -73,7 +92,6 @@ _EQUALISATIONS: dict[str, Callable[[Image], Image]] = {
     "global": equalised,
     "clahe": equalised_locally,
 }
-_EDGES: dict[str, Callable[[Image], Image]] = {"none": lambda grey: grey, "strength": _strength, "canny": _canny}
 _THRESHOLDS: dict[str, Callable[[Image, float], Image]] = {
     "none": lambda grey, _: grey,
     "fixed": thresholded,

@@ -10,7 +10,7 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.params import Parameters
-from imgu_ros.perception.preprocessing import preprocessed
+from imgu_ros.perception.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
@@ -117,7 +117,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     metric = metric_for(parameters.descriptor.kind, parameters.matching.metric)
     grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     pyramid = build_pyramid(
-        preprocessed(grey, parameters.preprocess, parameters.pyramid.kernel),
+        preprocessed(grey, for_targets(parameters.preprocess), parameters.pyramid.kernel),
         PyramidKind.FINE,
         levels=32,
         scales_per_octave=parameters.pyramid.scales_per_octave,
@@ -127,6 +127,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     )
     if parameters.pyramid.kind == PyramidKind.LAPLACIAN:
         pyramid = band_passed(pyramid)
+    pyramid = with_edges(pyramid, parameters.preprocess)
     keypoints = detect(
         pyramid, parameters.keypoints.detector, _RICHNESS * parameters.keypoints.max_count, even_scales=True
     )

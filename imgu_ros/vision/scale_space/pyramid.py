@@ -15,8 +15,8 @@ from imgu_ros.vision.processing.interpolation import Interpolation, resized
 from imgu_ros.vision.processing.points import full_scale, require_range
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
 
-#: Contrast of a band: details are fainter than pictures.
-_BAND_CONTRAST = 2.0
+#: Width of a level's band, octaves: of one alone descriptors have too little to tell places apart.
+_BAND_OCTAVES = 3
 
 #: Blur that a sampled image is taken to have, in its own pixels (Lowe 2004, section 3.3).
 CAMERA_SIGMA_PX = 0.5
@@ -109,10 +109,11 @@ def build_pyramid(
 
 
 def band_passed(pyramid: Pyramid) -> Pyramid:
-    """Return each level without what the next octave shows of it, around mid-grey: 128 is no detail.
+    """Return each level without what is coarser than three octaves, around mid-grey: 128 is no detail.
 
-    Every level, of a coarse or a fine pyramid, becomes clamp(2 (G - enlarged(reduced(G))) + 128): a band of one octave,
-    indifferent to slow changes of light. For float32 mid-grey is 0.5, for uint16 32768.
+    Every level G, of a coarse or a fine pyramid, becomes clamp(G - enlarged(reduced(G)) + 128), reduced and enlarged
+    three times: the sum of three bands of its Laplacian pyramid, indifferent to slow changes of light. For float32
+    mid-grey is 0.5, for uint16 32768.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def band_passed(pyramid: Pyramid) -> Pyramid:
 
     Notes
     -----
-    Source: notes 3.2.3.
+    Source: notes 3.2.3; Burt & Adelson 1983.
 
     Examples
     --------
@@ -133,12 +134,17 @@ def band_passed(pyramid: Pyramid) -> Pyramid:
 
 def _band(image: Image) -> Image:
     require_range(image, 16.0)
-    low = enlarged(reduced(image), image.shape[1::-1])
-    full = full_scale(image)
-    middle = (full + 1) / 2 if image.dtype.kind == "u" else 0.5
+    sizes = []
+    low = image
+    for _ in range(_BAND_OCTAVES):
+        sizes.append(low.shape[1::-1])
+        low = reduced(low)
+    for size in reversed(sizes):
+        low = enlarged(low, size)
+    if image.dtype.kind == "f":
+        return np.clip(image - low + np.float32(0.5), 0, 1)
     # One pass, saturating.
-    band = cv2.addWeighted(image, _BAND_CONTRAST, low, -_BAND_CONTRAST, middle)
-    return np.clip(band, 0, 1) if image.dtype.kind == "f" else band
+    return cv2.addWeighted(image, 1.0, low, -1.0, (full_scale(image) + 1) / 2)
 
 
 def reduced(image: Image, factor: float = 2.0, kernel: GaussianKernel | str = GaussianKernel.SAMPLED) -> Image:
