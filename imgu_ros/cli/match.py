@@ -24,7 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("target", type=Path, metavar="TARGET", help="picture of the flat target")
     parser.add_argument("image", type=Path, metavar="IMAGE", help="picture in which to look for it")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every number to FILE")
-    parser.add_argument("--draw", type=Path, metavar="FILE", help="write the image with the find drawn over to FILE")
+    parser.add_argument(
+        "--draw", type=Path, metavar="FILE",
+        help="write the image with the find drawn over to FILE; .svg and .pdf: drawn as vectors",
+    )  # fmt: skip
     parser.add_argument("--width-m", type=float, metavar="W", help="printed width of the target, m; for the pose")
     parser.add_argument("--camera-info", type=Path, metavar="YAML", help="calibration of the camera; for the pose")
     parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="IMAGE is a Bayer mosaic")
@@ -48,10 +51,9 @@ def run(arguments: argparse.Namespace) -> int:
 
         write_text(arguments.json, json.dumps(document(result), indent=2, allow_nan=False) + "\n")
     if arguments.draw:
-        from imgu_ros.files.images import write_image
-        from imgu_ros.report.overlay import draw_result
+        from imgu_ros.report.overlay import write_overlay
 
-        write_image(arguments.draw, draw_result(result))
+        write_overlay(arguments.draw, result)
     if found.status.found:
         return 0
     print(f"imgu: error: {arguments.image}: {found.name} not found: {result.reason or found.reason}", file=sys.stderr)

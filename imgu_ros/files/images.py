@@ -27,6 +27,8 @@ _WRITABLE: dict[str, tuple[tuple[int, ...], tuple[type, ...]]] = {
     ".ppm": ((3,), (np.uint8, np.uint16)),
     ".pnm": ((1, 3), (np.uint8, np.uint16)),
 }
+#: Suffixes that `write_image` knows.
+RASTER_SUFFIXES = tuple(_WRITABLE)
 _PNM = (".pbm", ".pgm", ".ppm", ".pnm")
 _NEED = "need a PNM, PNG, TIFF or JPEG"
 _READABLE_DTYPES = (np.uint8, np.uint16, np.float32)

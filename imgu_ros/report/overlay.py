@@ -1,14 +1,16 @@
-"""A frame with what the chain found in it drawn over."""
+"""A frame with what the chain found in it drawn over: as a raster picture, or as vectors over one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
-from imgu_ros.errors import ImguError
+from imgu_ros.errors import FileError, ImguError
+from imgu_ros.files.images import RASTER_SUFFIXES, write_image
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.types import Floats, Image, Points
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -44,22 +46,61 @@ def draw_result(result: Result) -> Image:
     (H, W, 3) uint8 RGB, a new array
     """
     canvas = _background(result)
-    pen = _Pen(canvas)
+    _draw_over(_RasterPen(canvas), result)
+    return canvas
+
+
+def write_overlay(path: Path | str, result: Result) -> None:
+    """Write what `draw_result` draws to a file; into .svg and .pdf as vectors over the embedded frame.
+
+    Raises
+    ------
+    FileError
+        If the suffix is unknown, or the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix in RASTER_SUFFIXES:
+        write_image(path, draw_result(result))
+        return
+    # Matplotlib takes half a second to load: not for a node that draws its debug image.
+    from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, VectorFigure
+
+    if suffix not in VECTOR_SUFFIXES:
+        need = ", ".join((*RASTER_SUFFIXES, *VECTOR_SUFFIXES))
+        raise FileError(f"{path}: suffix {Path(path).suffix!r}; need one of {need}")
+    figure = VectorFigure(_background(result))
+    _draw_over(figure, result)
+    figure.save(path)
+
+
+class _Pen(Protocol):
+    """What draws over a picture, at sub-pixel positions in its pixel coordinates."""
+
+    @property
+    def width(self) -> float: ...
+
+    def line(self, points: Points, color: tuple[int, int, int], *, closed: bool = False) -> None: ...
+
+    def dots(self, points: Points, color: tuple[int, int, int], radius: float) -> None: ...
+
+    def text(self, lines: list[tuple[str, tuple[int, int, int]]]) -> None: ...
+
+
+def _draw_over(pen: _Pen, result: Result) -> None:
     for target in result.targets:
         _draw_inliers(pen, target)
     for target in result.targets:
         _draw_outline(pen, target, result.frame.camera)
         _draw_axes(pen, target, result.frame.camera)
     if result.reason or not result.targets:
-        _draw_lines(canvas, [(result.reason or "no targets", STATUS_COLORS[Status.REJECTED])])
+        pen.text([(result.reason or "no targets", STATUS_COLORS[Status.REJECTED])])
     else:
-        _draw_lines(canvas, [(_status_text(target), STATUS_COLORS[target.status]) for target in result.targets])
-    return canvas
+        pen.text([(_status_text(target), STATUS_COLORS[target.status]) for target in result.targets])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pen:
-    """Draws at sub-pixel positions, with lines as thick as the picture needs."""
+class _RasterPen:
+    """Draws into a canvas, with lines as thick as the picture needs."""
 
     canvas: Image
 
@@ -81,6 +122,9 @@ class _Pen:
         inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
         for x, y in np.rint(points[inside] * 2**_SHIFT).astype(int).tolist():
             cv2.circle(self.canvas, (x, y), round(radius * 2**_SHIFT), color, -1, cv2.LINE_AA, _SHIFT)
+
+    def text(self, lines: list[tuple[str, tuple[int, int, int]]]) -> None:
+        _draw_lines(self.canvas, lines)
 
 
 def _background(result: Result) -> Image:
@@ -157,8 +201,11 @@ def _axis_length_m(pose: Pose, outline: Points, camera: Camera) -> float | None:
 
 def _status_text(target: TargetResult) -> str:
     parts = [target.name, target.status.value]
+    if target.matches is not None and target.status.found:
+        # Those that are drawn; the final fit may rest on others.
+        parts.append(f"{np.count_nonzero(target.matches.inliers)} points agree")
     if target.homography is not None:
-        parts += [f"{np.count_nonzero(target.homography.inliers)} inliers", f"{target.homography.rms_px:.2f} px"]
+        parts.append(f"fit {target.homography.rms_px:.2f} px rms")
     if target.pose is not None:
         sigma_mm = 1e3 * float(np.sqrt(np.trace(target.pose.covariance[:3, :3])))
         parts.append(f"{np.linalg.norm(target.pose.t):.3f} m +- {sigma_mm:.2g} mm")

@@ -54,6 +54,17 @@ def test_homography_pose_json_and_drawing(scene: Path, tmp_path: Path, capsys: p
     assert read_image(tmp_path / "m.png").shape == (480, 640, 3)
 
 
+@pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"), (".jpg", b"\xff\xd8")])
+def test_drawn_in_other_formats(scene: Path, tmp_path: Path, suffix: str, start: bytes) -> None:
+    path = tmp_path / f"m{suffix}"
+    assert main(["match", str(scene / "poster.png"), str(scene / "view.png"), "--draw", str(path)]) == 0
+    assert path.read_bytes().startswith(start)
+    if suffix == ".svg":
+        content = path.read_text(encoding="utf-8")
+        assert content.count("<image") == 1
+        assert "points agree" in content
+
+
 def test_without_a_camera_there_is_no_pose(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["match", str(scene / "poster.png"), str(scene / "view.png")]) == 0
     out = capsys.readouterr().out
@@ -87,6 +98,8 @@ def test_not_found_exits_1_with_the_reason(scene: Path, capsys: pytest.CaptureFi
         ("poster.png", "view.png", ["--camera-info", "poster.png"], "poster.png"),
         ("poster.png", "view.png", ["--pattern", "rggb"], "--pattern"),
         ("poster.png", "poster.png", ["--camera-info", "camera.yaml"], "need the same size"),
+        ("poster.png", "view.png", ["--draw", "m.xyz"], "need one of .png"),
+        ("poster.png", "view.png", ["--draw", "no/such/folder/m.svg"], "m.svg"),
         ("poster.png", "view.png", ["--json", "no/such/folder/m.json"], "m.json"),
         ("poster.png", "view.png", ["-p", "matching.ratio:=2.0"], "matching.ratio"),
     ],

@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
+from imgu_ros.errors import FileError
+from imgu_ros.files.images import read_image
 from imgu_ros.perception.result import PoseStatus, Status
-from imgu_ros.report.overlay import STATUS_COLORS, draw_result
+from imgu_ros.report.overlay import STATUS_COLORS, draw_result, write_overlay
 
 
 def _is_color(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
@@ -64,3 +70,57 @@ def test_ten_bits_in_sixteen_are_visible(make_result) -> None:
 def test_any_size(make_result, size) -> None:
     picture = draw_result(make_result(size=size, names=("a", "b")))
     assert picture.shape == (size[1], size[0], 3)
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def _strokes(svg: ElementTree.Element, color: tuple[int, int, int]) -> list[np.ndarray]:
+    style = f"stroke: #{bytes(color).hex()}"
+    paths = [path.get("d") or "" for path in svg.iter(f"{SVG}path") if style in (path.get("style") or "")]
+    return [np.array(re.findall(r"-?[\d.]+", d), float).reshape(-1, 2) for d in paths]
+
+
+def test_as_vectors(make_result, tmp_path: Path) -> None:
+    """The frame is the one raster picture; pixel (x, y) lies at (x + 1/2, y + 1/2) of a view of one unit a pixel."""
+    result = make_result()
+    target, camera = result.targets[0], result.frame.camera
+    write_overlay(tmp_path / "a.svg", result)
+    svg = ElementTree.fromstring((tmp_path / "a.svg").read_text(encoding="utf-8"))
+    assert svg.get("viewBox") == "0 0 640 480"
+    assert len(list(svg.iter(f"{SVG}image"))) == 1
+    (outline,) = _strokes(svg, STATUS_COLORS[Status.DETECTED])
+    np.testing.assert_allclose(outline[:4], target.outline + 0.5, atol=1e-4)
+    (x_axis,) = _strokes(svg, (230, 40, 40))
+    np.testing.assert_allclose(x_axis[0], camera.project([target.pose.t])[0] + 0.5, atol=1e-4)
+    places = np.array([(use.get("x"), use.get("y")) for use in svg.iter(f"{SVG}use")], float)
+    inliers = target.matches.image_xy[target.matches.inliers]
+    np.testing.assert_allclose(places[:60], np.concatenate((inliers, inliers)) + 0.5, atol=1e-4)
+    (text,) = (text.text for text in svg.iter(f"{SVG}text"))
+    assert "30 points agree" in text
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".pdf"])
+@pytest.mark.parametrize("status", Status)
+def test_every_status_as_vectors(make_result, tmp_path: Path, suffix: str, status: Status) -> None:
+    write_overlay(tmp_path / f"a{suffix}", make_result(status=status, reason="" if status.found else "so and so"))
+    content = (tmp_path / f"a{suffix}").read_bytes()
+    assert content.startswith(b"%PDF" if suffix == ".pdf" else b"<?xml")
+    assert status.found or suffix == ".pdf" or b"so and so" in content
+
+
+def test_a_bent_outline_as_vectors(make_result, tmp_path: Path) -> None:
+    result = make_result(distortion=(-0.3, 0.1))
+    write_overlay(tmp_path / "a.svg", result)
+    svg = ElementTree.fromstring((tmp_path / "a.svg").read_text(encoding="utf-8"))
+    (outline,) = _strokes(svg, STATUS_COLORS[Status.DETECTED])
+    assert len(outline) > 60
+    np.testing.assert_allclose(outline[:64:16], result.targets[0].outline + 0.5, atol=1e-3)
+
+
+def test_written_as_a_raster_picture(make_result, tmp_path: Path) -> None:
+    result = make_result()
+    write_overlay(tmp_path / "a.png", result)
+    assert np.array_equal(read_image(tmp_path / "a.png"), draw_result(result))
+    with pytest.raises(FileError, match=r"suffix '.xyz'; need one of .png.*, .svg, .pdf"):
+        write_overlay(tmp_path / "a.xyz", result)

@@ -1,0 +1,154 @@
+"""Vector figures, SVG and PDF: a raster picture with lines, dots and text over it that scale without artefacts."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.textpath import text_to_path
+
+from imgu_ros.errors import FileError
+from imgu_ros.types import Image, Points, as_image, as_points
+
+#: Suffixes of vector formats.
+VECTOR_SUFFIXES = (".svg", ".pdf")
+
+_DPI = 72  # a pixel of the picture is one point of the figure, and an inch has 72 of these
+_INK = "black"
+_DARKENING = 0.65  # of the strip behind the text
+_SETTINGS: Any = {
+    "svg.fonttype": "none",  # text stays text
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "imgu",  # the same figure, the same bytes
+    "path.simplify": False,
+}
+
+
+class VectorFigure:
+    """A picture, and what is drawn over it, in the picture's pixel coordinates: (0, 0) is the top left pixel's centre.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8 RGB; embedded as it is
+
+    Raises
+    ------
+    ShapeError
+        If it is no such picture.
+    """
+
+    def __init__(self, picture: Image) -> None:
+        picture = as_image(picture, "picture", (3,), (np.uint8,))
+        self._height, self._width = (int(side) for side in picture.shape[:2])
+        self._figure = Figure(figsize=(self._width / _DPI, self._height / _DPI), dpi=_DPI)
+        # Pixels are squares about their centres: the picture reaches from -0.5 to W - 0.5.
+        left, right, top, bottom = -0.5, self._width - 0.5, -0.5, self._height - 0.5
+        axes = self._figure.add_axes((0, 0, 1, 1))
+        axes.set_axis_off()
+        axes.imshow(picture, extent=(left, right, bottom, top), interpolation="none", aspect="auto")
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
+        axes.set_autoscale_on(False)
+        self._axes: Any = axes
+        self._layer = 10
+
+    @property
+    def width(self) -> float:
+        """Width of a line that suits the picture's size, px."""
+        return 1.0 + max(self._height, self._width) // 640
+
+    def line(self, points: Points, color: tuple[int, int, int], *, closed: bool = False) -> None:
+        """Draw a polyline through points (N, 2), dark-edged so that it stands out on any picture."""
+        points = as_points(points)
+        x, y = (np.concatenate((points, points[:1])) if closed else points).T
+        self._axes.plot(
+            x, y, color=_rgb(color), linewidth=self.width, solid_joinstyle="round", zorder=self._on_top(),
+            path_effects=[withStroke(linewidth=self.width + 2, foreground=_INK)],
+        )  # fmt: skip
+
+    def dots(self, points: Points, color: tuple[int, int, int], radius: float) -> None:
+        """Draw discs of a radius in px about points (N, 2)."""
+        x, y = as_points(points).T
+        self._axes.scatter(x, y, s=(2 * radius) ** 2, color=[_rgb(color)], linewidths=0, zorder=self._on_top())
+
+    def text(self, lines: list[tuple[str, tuple[int, int, int]]]) -> None:
+        """Write lines in their colours, top left, on a darkened strip; what does not fit the width is cut."""
+        size = max(8.0, max(self._height, self._width) / 60)
+        spacing, margin = 1.5 * size, 0.3 * size
+        self._axes.add_patch(
+            Rectangle(
+                (-0.5, -0.5), self._width, spacing * len(lines) + margin, facecolor=_INK, alpha=_DARKENING, linewidth=0,
+                zorder=self._on_top(),
+            )
+        )  # fmt: skip
+        for row, (text, color) in enumerate(lines):
+            self._axes.text(
+                margin, spacing * (row + 0.75) + margin / 2, _fitting(text, size, self._width - 2 * margin),
+                color=_rgb(color), fontsize=size, parse_math=False, zorder=self._on_top(),
+            )  # fmt: skip
+
+    def _on_top(self) -> int:
+        """Return a layer above all that is drawn: later covers earlier, whatever kind it is."""
+        self._layer += 1
+        return self._layer
+
+    def save(self, path: Path | str) -> None:
+        """Write the figure; the suffix, .svg or .pdf, chooses the format. The same figure gives the same bytes.
+
+        Raises
+        ------
+        FileError
+            If the suffix is another one, or the file cannot be written.
+        """
+        save_figure(self._figure, path)
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Write any Matplotlib figure as .svg or .pdf; the same figure gives the same bytes.
+
+    Raises
+    ------
+    FileError
+        If the suffix is another one, or the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in VECTOR_SUFFIXES:
+        raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(VECTOR_SUFFIXES)}")
+    content = io.BytesIO()
+    with mpl.rc_context(_SETTINGS):
+        figure.savefig(content, format=suffix[1:], metadata={"Date" if suffix == ".svg" else "CreationDate": None})
+    try:
+        path.write_bytes(content.getvalue())
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+
+
+def _rgb(color: tuple[int, int, int]) -> tuple[float, float, float]:
+    red, green, blue = color
+    return red / 255, green / 255, blue / 255
+
+
+def _fitting(text: str, size: float, width: float) -> str:
+    """Return as much of `text` as fits into `width` points; only characters that every font has."""
+    # SVG shows several spaces as one, unless they do not break.
+    plain = text.encode("ascii", "replace").decode("ascii").replace("  ", "\N{NO-BREAK SPACE}" * 2)
+    font = FontProperties(size=size)
+
+    def fits(shown: str) -> bool:
+        return float(text_to_path.get_text_width_height_descent(shown, font, False)[0]) <= width
+
+    if not plain or fits(plain):
+        return plain
+    least, most = 0, len(plain)
+    while most - least > 1:
+        middle = (least + most) // 2
+        least, most = (middle, most) if fits(plain[:middle] + "..") else (least, middle)
+    return plain[:least] + ".." if least else ""

@@ -1,0 +1,137 @@
+"""Vector figures: what is drawn are vectors, at the right places, over the picture as it is."""
+
+from __future__ import annotations
+
+import base64
+import re
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.files.vector_figure import VectorFigure, save_figure
+
+SVG = "{http://www.w3.org/2000/svg}"
+HREF = "{http://www.w3.org/1999/xlink}href"
+RED, GREEN = (255, 0, 0), (0, 128, 0)
+PICTURE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+
+
+def figure() -> VectorFigure:
+    drawn = VectorFigure(PICTURE)
+    drawn.line(np.array([[0.0, 0.0], [63.25, 47.125], [10.0, 40.0]]), RED, closed=True)
+    drawn.dots(np.array([[0.0, 0.0], [63.0, 47.0], [20.5, 30.25]]), GREEN, 1.5)
+    drawn.text([("a  found", RED), ("é $x_1$ & <b>", GREEN)])
+    return drawn
+
+
+@pytest.fixture
+def svg(tmp_path: Path) -> ElementTree.Element:
+    figure().save(tmp_path / "a.svg")
+    return ElementTree.fromstring((tmp_path / "a.svg").read_text(encoding="utf-8"))
+
+
+def test_a_pixel_is_a_unit(svg: ElementTree.Element) -> None:
+    assert svg.get("viewBox") == "0 0 64 48"
+    assert (svg.get("width"), svg.get("height")) == ("64pt", "48pt")
+
+
+def test_the_picture_is_embedded_once_as_it_is(svg: ElementTree.Element) -> None:
+    """Nothing else is a raster picture; it fills the view, and its pixels are not resampled."""
+    (image,) = svg.iter(f"{SVG}image")
+    encoded = np.frombuffer(base64.b64decode((image.get(HREF) or "").partition(",")[2]), np.uint8)
+    pixels = cv2.cvtColor(cv2.imdecode(encoded, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+    # Some versions of Matplotlib write the rows upwards and turn the picture by a transform.
+    mirrored = "scale(1 -1)" in (image.get("transform") or "")
+    assert np.array_equal(pixels[::-1] if mirrored else pixels, PICTURE)
+    assert float(image.get("width", "0")) == pytest.approx(64)
+    assert float(image.get("height", "0")) == pytest.approx(48)
+    assert "pixelated" in (image.get("style") or "")
+
+
+def drawn_paths(svg: ElementTree.Element, color: str) -> Iterator[np.ndarray]:
+    for path in svg.iter(f"{SVG}path"):
+        if f"stroke: {color}" in (path.get("style") or ""):
+            yield np.array(re.findall(r"-?[\d.]+", path.get("d") or ""), float).reshape(-1, 2)
+
+
+def test_lines_lie_half_a_pixel_from_the_corner(svg: ElementTree.Element) -> None:
+    """The centre of the top left pixel, (0, 0), is drawn at (0.5, 0.5) of a view in which it covers 0 to 1."""
+    (line,) = drawn_paths(svg, "#ff0000")
+    np.testing.assert_allclose(line[:4], [[0.5, 0.5], [63.75, 47.625], [10.5, 40.5], [0.5, 0.5]], atol=1e-4)
+
+
+def test_lines_have_an_edge(svg: ElementTree.Element) -> None:
+    (edge,) = drawn_paths(svg, "#000000")
+    (line,) = drawn_paths(svg, "#ff0000")
+    np.testing.assert_array_equal(edge, line)
+
+
+def test_dots_lie_at_their_places(svg: ElementTree.Element) -> None:
+    uses = [(float(use.get("x", "nan")), float(use.get("y", "nan"))) for use in svg.iter(f"{SVG}use")]
+    np.testing.assert_allclose(uses, [[0.5, 0.5], [63.5, 47.5], [21, 30.75]], atol=1e-4)
+    marker = next(path for path in svg.iter(f"{SVG}path") if (path.get("d") or "").startswith("M 0 1.5"))
+    numbers = np.array(re.findall(r"-?[\d.]+", marker.get("d") or ""), float)
+    assert np.abs(numbers).max() == pytest.approx(1.5)
+
+
+def test_text_is_text(svg: ElementTree.Element) -> None:
+    texts = [(text.text or "").replace("\N{NO-BREAK SPACE}", " ") for text in svg.iter(f"{SVG}text")]
+    assert texts[0].startswith("a  fou")
+    assert texts[1].startswith("? $x_1$")
+
+
+@pytest.mark.parametrize("length", [0, 1, 20, 5000])
+def test_text_is_cut_to_the_width(tmp_path: Path, length: int) -> None:
+    drawn = VectorFigure(np.zeros((48, 400, 3), np.uint8))
+    drawn.text([("m" * length, RED)])
+    drawn.save(tmp_path / "a.svg")
+    shown = re.findall(r">(m*(?:\.\.)?)</text>", (tmp_path / "a.svg").read_text())
+    assert [len(text) for text in shown] == ([length] if 0 < length <= 20 else [] if length == 0 else [len(shown[0])])
+    assert all(len(text) < 60 for text in shown)
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".pdf"])
+def test_the_same_figure_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
+    for name in "ab":
+        figure().save(tmp_path / f"{name}{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_pdf(tmp_path: Path) -> None:
+    figure().save(tmp_path / "a.PDF")
+    content = (tmp_path / "a.PDF").read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert re.search(rb"/MediaBox \[ ?0 0 64 48 ?\]", content)
+    assert len(re.findall(rb"/Subtype /Image", content)) == 1
+    # y points up in PDF: (63.25, 47.125) is drawn at (63.75, 48 - 47.625).
+    streams = b"".join(
+        zlib.decompress(stream)
+        for stream in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", content, re.DOTALL)
+        if stream[:1] == b"x"
+    )
+    assert re.search(rb"63\.75 0\.375 l", streams)
+
+
+def test_a_plot_of_any_kind(tmp_path: Path) -> None:
+    plot = Figure()
+    plot.subplots().plot([1, 2], [3, 5])
+    save_figure(plot, tmp_path / "plot.svg")
+    assert "<svg" in (tmp_path / "plot.svg").read_text()
+
+
+def test_what_cannot_be_drawn_or_written(tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match="picture"):
+        VectorFigure(PICTURE.astype(np.float32))
+    with pytest.raises(ShapeError, match="points"):
+        figure().line(np.array([[np.nan, 0]]), RED)
+    with pytest.raises(FileError, match=r"suffix '.png'; need one of .svg, .pdf"):
+        figure().save(tmp_path / "a.png")
+    with pytest.raises(FileError, match="need a place that can be written"):
+        figure().save(tmp_path / "none" / "a.svg")
