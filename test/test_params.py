@@ -22,9 +22,10 @@ from imgu_ros.params import (
 )
 from imgu_ros.vision.descriptors.describe import DescriptorKind
 from imgu_ros.vision.estimation.sampling import Sampler
+from imgu_ros.vision.formation.bands import BandMode
 from imgu_ros.vision.formation.demosaic import DemosaicMethod
 from imgu_ros.vision.keypoints.detect import Detector
-from imgu_ros.vision.matching.nearest import Metric
+from imgu_ros.vision.matching.metrics import Metric
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel
 from imgu_ros.vision.scale_space.pyramid import PyramidKind
 
@@ -235,6 +236,30 @@ def test_parallel_lists_that_agree():
     parameters_from({"raw.black_level": 300})  # white unknown: the frame's data type decides
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"raw.band_mode": "weighted"}, "raw.band_weights: none; need one value for each band"),
+        ({"raw.band_mode": "spectral_angle"}, "raw.reference_spectrum: none; need one value for each band"),
+        ({"raw.band_mode": "spectral_angle", "raw.reference_spectrum": [1.0]}, "raw.reference_spectrum: 1 value;"),
+        ({"raw.band_mode": "spectral_angle", "raw.reference_spectrum": [0.0, 0.0]}, "raw.reference_spectrum: all 0"),
+        ({"raw.band_mode": "weighted", "raw.band_weights": [0.0, 0.0]}, "raw.band_weights: all 0"),
+        (
+            {"raw.band_mode": "weighted", "raw.band_weights": [1.0, 2.0], "raw.bands": [0, 1, 2]},
+            "raw.band_weights: 2 values; need 3, one for each of raw.bands",
+        ),
+        ({"raw.reference_spectrum": [math.nan]}, "raw.reference_spectrum"),
+        ({"raw.band_weights": [-1.0]}, "raw.band_weights"),
+        ({"raw.band_mode": "median"}, "raw.band_mode: 'median'; need one of mean"),
+    ],
+)
+def test_band_modes_need_what_they_work_with(values, message):
+    with pytest.raises(ParameterError) as caught:
+        parameters_from(values)
+    assert str(caught.value).startswith(message)
+    parameters_from({"raw.band_mode": "spectral_angle", "raw.bands": [4, 2], "raw.reference_spectrum": [1, -0.5]})
+
+
 def test_every_parameter_is_read_somewhere(repository):
     """An option that nothing reads would be accepted and ignored; `reference` has one value, and others are refused."""
     files = [path for path in (repository / "imgu_ros").rglob("*.py") if path.name != "params.py"]
@@ -253,6 +278,7 @@ def test_every_parameter_is_read_somewhere(repository):
         ("descriptor.kind", DescriptorKind),
         ("matching.metric", Metric),
         ("homography.sampler", Sampler),
+        ("raw.band_mode", BandMode),
     ],
 )
 def test_choices_are_those_of_the_library(name, choice):

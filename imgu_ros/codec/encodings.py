@@ -110,6 +110,8 @@ def _named() -> dict[str, Encoding]:
         add(f"bgr{bits}", bits, 3, ColorModel.BGR)
         add(f"rgba{bits}", bits, 4, ColorModel.RGBA)
         add(f"bgra{bits}", bits, 4, ColorModel.BGRA)
+        # Not among ROS's names: alpha first, as some graphics libraries have it.
+        add(f"argb{bits}", bits, 4, ColorModel.ARGB)
         for pattern in BayerPattern:
             add(f"bayer_{pattern}{bits}", bits, 1, ColorModel.BAYER, pattern)
     for name, color in (

@@ -13,6 +13,8 @@ from imgu_ros.codec.encodings import encoding_for, encoding_named, is_image_enco
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import decode_image, image_message
 from imgu_ros.errors import EncodingError
+from imgu_ros.params import DemosaicParameters, RawParameters
+from imgu_ros.perception.develop import develop
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 
@@ -30,6 +32,8 @@ ENCODINGS = {
     "bgr16": ("H", 3, PixelLayout(ColorModel.BGR)),
     "rgba16": ("H", 4, PixelLayout(ColorModel.RGBA)),
     "bgra16": ("H", 4, PixelLayout(ColorModel.BGRA)),
+    "argb8": ("B", 4, PixelLayout(ColorModel.ARGB)),
+    "argb16": ("H", 4, PixelLayout(ColorModel.ARGB)),
     "uyvy": ("B", 2, PixelLayout(ColorModel.UYVY)),
     "yuv422": ("B", 2, PixelLayout(ColorModel.UYVY)),
     "yuyv": ("B", 2, PixelLayout(ColorModel.YUYV)),
@@ -96,6 +100,38 @@ def test_every_encoding_padding_and_byte_order(make, encoding, padding, big_endi
         np.frombuffer(again.data, np.uint8).reshape(5, -1)[:, : message.step - padding],
         np.frombuffer(message.data, np.uint8).reshape(5, -1)[:, : message.step - padding],
     )
+
+
+def _message(make, encoding, width, data):
+    header, pixels = make("std_msgs/msg/Header", frame_id="camera"), np.frombuffer(data, np.uint8)
+    fields = {"height": 1, "width": width, "encoding": encoding, "is_bigendian": 0, "step": len(data), "data": pixels}
+    return make("sensor_msgs/msg/Image", header=header, **fields)
+
+
+@pytest.mark.parametrize(("order", "encoding"), [("<", "bgra8"), (">", "argb8")])
+def test_words_of_32_bits_are_bytes_in_an_order(make, order, encoding):
+    # A program that writes 0xAARRGGBB as uint32 leaves B G R A in memory, or A R G B on a big-endian machine.
+    words = [0xFF112233, 0x80AABBCC]
+    image = decode_image(_message(make, encoding, 2, struct.pack(f"{order}2I", *words)))
+    alpha, red, green, blue = (
+        image.pixels[0, :, "argb".index(c) if encoding == "argb8" else "bgra".index(c)] for c in "argb"
+    )
+    assert (alpha.tolist(), red.tolist()) == ([0xFF, 0x80], [0x11, 0xAA])
+    assert (green.tolist(), blue.tolist()) == ([0x22, 0xBB], [0x33, 0xCC])
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("order", ["rgb", "bgr", "rgba", "bgra", "argb"])
+def test_every_channel_order_ends_in_the_same_colors(make, order, bits):
+    # From bytes through the codec and the chain's first stage; alpha must not matter.
+    dtype = np.dtype(f"u{bits // 8}")
+    rgb = np.random.default_rng(2).integers(0, 2**bits, (4, 6, 3)).astype(dtype)
+    planes = dict(zip("rgba", (*np.moveaxis(rgb, 2, 0), np.full((4, 6), 77, dtype)), strict=True))
+    pixels = np.stack([planes[channel] for channel in order], axis=2)
+    for padding, big_endian in ((0, False), (5, True)):
+        message = image_message(make, HEADER, pixels, f"{order}{bits}", row_padding=padding, big_endian=big_endian)
+        color = develop(decode_image(message), RawParameters(), DemosaicParameters()).color()
+        np.testing.assert_array_equal(color, rgb)
 
 
 @pytest.mark.parametrize(("encoding", "padding"), [("bayer_rggb8", 3), ("bayer_rggb16", 32), ("rgb8", 0), ("rgb16", 2)])

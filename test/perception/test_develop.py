@@ -189,6 +189,79 @@ def test_chosen_bands():
         developed(cube, ColorModel.BANDS, bands=(0, 3))
 
 
+def stretched(values):
+    low, high = np.quantile(values, (0.002, 0.998))
+    return np.clip((values - low) / (high - low) * 255, 0, 255)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2", "f4"])
+def test_weighted_mean_of_bands(dtype):
+    cube = np.random.default_rng(5).integers(0, 256, (20, 30, 4)).astype(dtype)
+    got = developed(cube, ColorModel.BANDS, band_mode="weighted", band_weights=(1.0, 0.0, 2.0, 1.0)).grey
+    exact = (cube[:, :, 0] + 2.0 * cube[:, :, 2] + cube[:, :, 3]) / 4
+    np.testing.assert_allclose(got, exact if dtype == "u1" else stretched(exact), atol=0.52)
+    got = developed(cube, ColorModel.BANDS, bands=(3, 1), band_mode="weighted", band_weights=(1.0, 3.0)).grey
+    exact = (cube[:, :, 3] + 3.0 * cube[:, :, 1]) / 4
+    np.testing.assert_allclose(got, exact if dtype == "u1" else stretched(exact), atol=0.52)
+
+
+@pytest.mark.parametrize("dtype", ["u1", ">u2", "f8"])
+def test_principal_component_of_bands(dtype):
+    t = np.random.default_rng(6).uniform(-20, 20, (20, 30))
+    cube = np.rint(np.stack((100 + 3 * t, 120 + 4 * t, np.full(t.shape, 7.0)), axis=2)).astype(dtype)
+    got = developed(cube, ColorModel.BANDS, band_mode="principal_component").grey
+    np.testing.assert_allclose(got, stretched(t), atol=2)
+    # The levels of raw data do not apply to a component.
+    with_black = developed(cube, ColorModel.BANDS, band_mode="principal_component", black_level=50.0).grey
+    np.testing.assert_array_equal(with_black, got)
+
+
+def test_spectral_angle_of_bands():
+    # Two materials at many brightnesses, over a black level: the picture tells the materials apart, bright the sought.
+    rng = np.random.default_rng(7)
+    brightness, sought = rng.uniform(200, 900, (20, 30, 1)), rng.random((20, 30)) < 0.5
+    spectra = np.where(sought[:, :, None], [3.0, 1.0, 0.5], [1.0, 2.0, 0.5])
+    cube = np.rint(64 + brightness * spectra).astype(np.uint16)
+    raw = {"band_mode": "spectral_angle", "reference_spectrum": (6.0, 2.0, 1.0), "black_level": 64.0}
+    got = developed(cube, ColorModel.BANDS, **raw).grey
+    assert got[sought].min() > 240 and got[~sought].max() < 15
+    some = developed(cube, ColorModel.BANDS, **(raw | {"bands": (1, 0), "reference_spectrum": (1.0, 3.0)})).grey
+    assert some[sought].min() > 240 and some[~sought].max() < 15
+    cube[:4] = 64  # no light: no spectrum, dark, and no reason to compress the rest
+    dark = developed(cube, ColorModel.BANDS, **raw).grey
+    assert not dark[:4].any()
+    assert dark[4:][sought[4:]].min() > 240
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        ({"band_mode": "weighted", "band_weights": (1.0,)}, "raw.band_weights: 1 values; need 3, one for each band"),
+        (
+            {"band_mode": "spectral_angle", "reference_spectrum": (1.0, 2.0)},
+            "raw.reference_spectrum: 2 values; need 3, one for each band",
+        ),
+        ({"band_mode": "median"}, "BandMode: 'median'; need one of mean"),
+    ],
+)
+def test_bands_that_do_not_fit_their_parameters(raw, message):
+    with pytest.raises(ShapeError) as caught:
+        developed(np.ones((4, 5, 3), np.uint8), ColorModel.BANDS, **raw)
+    assert str(caught.value).startswith(message)
+
+
+def test_thermal_picture_gets_its_gain_from_percentiles():
+    # Centikelvin around 300 K in mono16, a hot spot and a dead pixel: the scene keeps the whole range.
+    y, x = np.mgrid[:120, :160]
+    scene = (29_800 + x + y).astype(np.uint16)
+    plain = developed(scene, ColorModel.MONO).grey
+    assert plain.min() == 0 and plain.max() == 255
+    np.testing.assert_allclose(plain, stretched(scene), atol=0.51)
+    scene[60, 80], scene[3, 5] = 65535, 0
+    got = developed(scene, ColorModel.MONO).grey
+    assert np.abs(got.astype(int) - plain)[scene % 65535 != 0].max() <= 1
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("gap", [np.nan, np.inf, -np.inf])
 def test_pixels_without_a_value_do_not_matter(dtype, gap):

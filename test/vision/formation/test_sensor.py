@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.formation.sensor import BIT_DEPTHS, Sensor, expose
+from imgu_ros.vision.formation.sensor import BIT_DEPTHS, Sensor, expose, quantise
 
 
 def flat(level: float, side: int = 400) -> np.ndarray:
@@ -40,6 +40,77 @@ def test_photon_transfer(sensor: Sensor) -> None:
             assert pixels.var() == pytest.approx(variance, rel=0.02)  # the sample's own spread is 0.35 %
         assert sensor.expected_dn(np.array(mean_e)) == pytest.approx(sensor.black_level_dn + gain * mean_e)
         assert sensor.variance_dn(np.array(mean_e)) == pytest.approx(variance)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        Sensor(10, full_well_e=4_000, read_noise_e=6, black_level_dn=40),
+        Sensor(12, full_well_e=10_000, read_noise_e=8, black_level_dn=64),
+        Sensor(14, full_well_e=30_000, read_noise_e=5, black_level_dn=600),
+        Sensor(16, full_well_e=20_000, read_noise_e=3, black_level_dn=1000),
+    ],
+    ids=str,
+)
+def test_photon_transfer_curve_gives_the_parameters_back(sensor: Sensor) -> None:
+    # As a laboratory measures it (EMVA 1288, 6.6): pairs of flat fields, whose difference has twice the variance.
+    rng = np.random.default_rng(7)
+    means, variances = [], []
+    for level in np.linspace(0.0, 0.75, 16):
+        a, b = (expose(flat(level, 300), sensor, rng).astype(np.float64) for _ in range(2))
+        means.append((a.mean() + b.mean()) / 2)
+        variances.append((a - b).var() / 2)
+    signal = np.array(means) - means[0]
+    weights = 1 / np.array(variances)  # the spread of a variance is proportional to it
+    slope, offset = np.polyfit(signal, variances, 1, w=weights)
+    assert slope == pytest.approx(sensor.gain_dn_per_e, rel=0.02)
+    assert means[0] == pytest.approx(sensor.black_level_dn, abs=0.05)
+    assert np.sqrt(offset - 1 / 12) / slope == pytest.approx(sensor.read_noise_e, rel=0.02)
+    saturated = expose(flat(2.0), sensor, rng)
+    assert (saturated == sensor.white_level_dn).all()
+    full_well = (sensor.white_level_dn - means[0]) / slope
+    assert full_well == pytest.approx(sensor.full_well_e, rel=0.02)
+
+
+def test_amplification_is_iso() -> None:
+    # Two stops: four times the numbers for the same light, the same noise in electrons.
+    sensor, rng = Sensor(14, full_well_e=20_000, read_noise_e=5), np.random.default_rng(8)
+    fast = sensor.amplified(4.0)
+    assert fast.gain_dn_per_e == pytest.approx(4 * sensor.gain_dn_per_e)
+    # 2000 electrons are 0.1 of the full well, 0.4 of what then saturates.
+    slow_pixels, fast_pixels = (expose(flat(x), s, rng).astype(float) for x, s in ((0.1, sensor), (0.4, fast)))
+    assert fast_pixels.mean() / slow_pixels.mean() == pytest.approx(4, rel=1e-3)
+    assert fast_pixels.std() / slow_pixels.std() == pytest.approx(4, rel=0.02)
+    with pytest.raises(ShapeError, match="gain: 0; need more than 0"):
+        sensor.amplified(0.0)
+
+
+@pytest.mark.parametrize("bits", BIT_DEPTHS)
+def test_converter_rounds_to_the_nearest_step(bits: int) -> None:
+    signal = np.random.default_rng(9).uniform(-0.2, 1.2, (200, 300)).astype(np.float32)
+    got = quantise(signal, bits)
+    top = 2**bits - 1
+    assert got.dtype == (np.uint8 if bits == 8 else np.uint16)
+    assert got.shape == signal.shape
+    error = got - np.clip(signal.astype(np.float64), 0, 1) * top
+    assert np.abs(error).max() <= 0.5 + 1e-7 * top
+    inside = (signal > 0) & (signal < 1)
+    assert error[inside].var() == pytest.approx(1 / 12, rel=0.02)  # the quantisation noise of EMVA 1288
+    # Each step is hit by its own value.
+    steps = np.arange(0, top + 1, max(1, top // 1000))
+    np.testing.assert_array_equal(quantise((steps / top).astype(np.float32)[None], bits)[0], steps)
+
+
+def test_impossible_conversions_are_refused() -> None:
+    with pytest.raises(ShapeError, match="bits: 9; need one of 8, 10, 12, 14, 16"):
+        quantise(np.zeros((2, 2), np.float32), 9)
+    with pytest.raises(ShapeError, match="signal: data type float64"):
+        quantise(np.zeros((2, 2)), 8)
+
+
+def test_more_light_than_numbers_hold_saturates() -> None:
+    pixels = expose(np.full((4, 4), 3e38, np.float32), Sensor(12), np.random.default_rng(0))
+    assert (pixels == 4095).all()
 
 
 def test_few_electrons_are_poisson() -> None:
