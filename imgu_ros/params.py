@@ -501,6 +501,12 @@ def _check_together(parameters: Parameters) -> None:
     if 0 < white <= black:
         raise ParameterError(f"raw.white_level: {white:g}; need more than raw.black_level ({black:g})")
     _check_bands(parameters.raw)
+    preprocess = parameters.preprocess
+    if preprocess.edges != "none" and preprocess.threshold != "none":
+        raise ParameterError(
+            f"preprocess.threshold: {preprocess.threshold!r} leaves steps of one height to preprocess.edges "
+            f"{preprocess.edges!r}, and nothing to tell places apart; need one of the two"
+        )
     if parameters.keypoints.detector == "dog":
         # It builds its own scale space, of level 0 alone.
         for name, value, wrong in (
