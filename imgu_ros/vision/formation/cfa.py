@@ -64,3 +64,22 @@ def site_mask(shape: tuple[int, int], pattern: BayerPattern, color: str) -> Imag
         row, column = divmod(index, 2)
         out[row::2, column::2] = site == color
     return out
+
+
+def as_mosaic(raw: Image, name: str = "raw") -> Image:
+    """Check a Bayer mosaic and return it, C-contiguous and in native byte order.
+
+    Parameters
+    ----------
+    raw : (H, W) uint8 or uint16, H and W at least 2
+    name : of the argument, for the message
+
+    Raises
+    ------
+    ShapeError
+        If it is not such an image.
+    """
+    raw = as_image(raw, name, dtypes=(np.uint8, np.uint16))
+    if min(raw.shape) < 2:
+        raise ShapeError(f"{name}: shape {raw.shape}; need at least one 2x2 quad")
+    return raw

@@ -1,0 +1,142 @@
+"""Runs a demosaicking recipe over a mosaic, strip by strip: any phase, size and depth, on all of OpenCV's threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgu_ros.types import Image
+from imgu_ros.vision.formation.cfa import BayerPattern, as_mosaic
+from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads
+
+#: Quads of a strip: enough that calls cost little, few enough that the fields stay in a core's cache.
+_QUADS = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recipe:
+    """A demosaicking method for the quads of a strip.
+
+    Attributes
+    ----------
+    missing : finds the missing colours
+    reach : quads on each side that a result depends on
+    shift : largest shift of a view, quads
+    scale : by which the results are too large, a power of two
+    integer : whether sums of 8-bit data fit 16-bit integers all the way; other data are worked on in float32
+    """
+
+    missing: Callable[[Quads], Missing]
+    reach: int
+    shift: int
+    scale: int
+    integer: bool
+
+
+def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Image:
+    """Reconstruct colour by a recipe.
+
+    The result does not depend on the number of threads (`cv2.setNumThreads`) or strips.
+
+    Parameters
+    ----------
+    raw : (H, W) uint8 or uint16, H and W at least 2
+    pattern : colours of the top-left quad
+    recipe : the method
+
+    Returns
+    -------
+    (H, W, 3) RGB of the same data type; measured values are kept.
+
+    Raises
+    ------
+    ShapeError
+        If `raw` is not such an image or the pattern is unknown.
+    """
+    raw, pattern = as_mosaic(raw), BayerPattern(pattern)
+    height, width = raw.shape
+    rim = 2 * recipe.reach
+    # Mirror images about the outermost rows and columns keep the Bayer phase; an odd number of them at the top or on
+    # the left brings the first quad's first site to red. So recipes know one phase alone.
+    row, column = divmod(pattern.value.index("r"), 2)
+    bottom, right = rim + (height + row) % 2, rim + (width + column) % 2
+    extended = cv2.copyMakeBorder(raw, rim + row, bottom, rim + column, right, cv2.BORDER_REFLECT_101)
+    out = np.empty((height, width, 3), raw.dtype)
+    rows, columns = extended.shape[0] // 2 - rim, extended.shape[1] // 2
+    count = -(-rows // max(2 * rim, _QUADS // columns))
+
+    def work(index: int) -> None:
+        first, last = rows * index // count, rows * (index + 1) // count
+        colors = _developed(extended[2 * first : 2 * (last + rim)], recipe)
+        begin, end = max(0, 2 * first - row), min(height, 2 * last - row)
+        skipped = begin + row - 2 * first
+        out[begin:end] = colors[skipped : skipped + end - begin, column : column + width]
+
+    workers = min(count, cv2.getNumThreads())
+    if workers > 1:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(work, range(count)))
+    else:
+        for index in range(count):
+            work(index)
+    return out
+
+
+def _developed(strip: Image, recipe: Recipe) -> Image:
+    """Return the colours of a strip that starts at a red site, without its rim."""
+    height, width = strip.shape[0] // 2, strip.shape[1] // 2
+    dtype = np.dtype(np.int16 if recipe.integer and strip.dtype == np.uint8 else np.float32)
+    fields = []
+    for row in (0, 1):
+        for plane in cv2.split(strip[row::2].reshape(height, width, 2)):
+            fields.append(Field(height, width, recipe.shift, dtype))
+            np.copyto(fields[-1].at(), plane.reshape(-1))
+    top = float(np.iinfo(strip.dtype).max)
+    red, green_by_red, green_by_blue, blue = fields
+    quads = Quads(red, green_by_red, green_by_blue, blue, height, width, recipe.shift, dtype, top)
+    found = recipe.missing(quads)
+    rim = 2 * recipe.reach
+    return _interleaved(strip[rim:-rim, rim:-rim], found, recipe)
+
+
+def _interleaved(measured: Image, found: Missing, recipe: Recipe) -> Image:
+    height, width = measured.shape[0] // 2, measured.shape[1] // 2
+
+    def plane(field: Field) -> Image:
+        return _rounded(field.inside(recipe.reach), recipe.scale, measured.dtype)
+
+    def row(even: Image, odd: Image) -> Image:
+        return cv2.merge([even, odd]).reshape(height, 2 * width)
+
+    red, green_by_red = cv2.split(measured[0::2].reshape(height, width, 2))
+    green_by_blue, blue = cv2.split(measured[1::2].reshape(height, width, 2))
+    out = np.empty((2 * height, 2 * width, 3), measured.dtype)
+    upper = (
+        row(red, plane(found.red_by_red)),
+        row(plane(found.green_at_red), green_by_red),
+        row(plane(found.blue_at_red), plane(found.blue_by_red)),
+    )
+    lower = (
+        row(plane(found.red_by_blue), plane(found.red_at_blue)),
+        row(green_by_blue, plane(found.green_at_blue)),
+        row(plane(found.blue_by_blue), blue),
+    )
+    cv2.merge(upper, dst=out[0::2])
+    cv2.merge(lower, dst=out[1::2])
+    return out
+
+
+def _rounded(values: Image, scale: int, dtype: np.dtype[np.generic]) -> Image:
+    """Return values / scale, rounded and clamped to the range of the data type."""
+    if values.dtype == np.int16:
+        values = values + np.int16(scale // 2)
+        values >>= scale.bit_length() - 1
+        np.clip(values, 0, 255, out=values)
+        return values.astype(np.uint8)
+    # Scales, rounds and saturates in one pass.
+    depth = cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
+    return cv2.addWeighted(values, 1 / scale, values, 0.0, 0.0, dtype=depth)
