@@ -102,7 +102,11 @@ class PathParameters:
 
 @dataclass(frozen=True, slots=True)
 class DemosaicParameters:
-    method: str = parameter("bilinear", "Demosaicking method.", choices=("bilinear", "edge_aware", "malvar"))
+    method: str = parameter(
+        "bilinear",
+        "Demosaicking method, from fast to good.",
+        choices=("bilinear", "edge_aware", "malvar", "hamilton_adams", "menon", "residual"),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,9 +199,15 @@ class PyramidParameters:
 
 @dataclass(frozen=True, slots=True)
 class KeypointsParameters:
-    detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "dog", "orb"))
+    detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "moravec", "dog", "mser", "orb"))
     max_count: int = parameter(
         1000, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
+    )
+    fast_arc: int = parameter(
+        9,
+        "Contiguous pixels, of 16 on a ring, that make a corner when `keypoints.detector` is `fast`.",
+        minimum=9,
+        maximum=12,
     )
 
 
