@@ -148,7 +148,7 @@ class Chain:
             )
             pyramid = with_edges(pyramid, p.preprocess)
         with clock.measures(Stage.KEYPOINTS):
-            keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count)
+            keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count, fast_arc=p.keypoints.fast_arc)
         with clock.measures(Stage.DESCRIBE):
             return _Features(pyramid, describe(pyramid, keypoints, p.descriptor.kind))
 

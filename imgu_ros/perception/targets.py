@@ -128,9 +128,8 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     if parameters.pyramid.kind == PyramidKind.LAPLACIAN:
         pyramid = band_passed(pyramid)
     pyramid = with_edges(pyramid, parameters.preprocess)
-    keypoints = detect(
-        pyramid, parameters.keypoints.detector, _RICHNESS * parameters.keypoints.max_count, even_scales=True
-    )
+    p = parameters.keypoints
+    keypoints = detect(pyramid, p.detector, _RICHNESS * p.max_count, even_scales=True, fast_arc=p.fast_arc)
     described = describe(pyramid, keypoints, parameters.descriptor.kind)
     if len(described.keypoints) < parameters.homography.min_inliers:
         raise ShapeError(

@@ -53,9 +53,10 @@ def detect_moravec(image: Image, max_count: int) -> Corners:
     --------
     >>> import numpy as np
     >>> image = np.zeros((60, 60), np.uint8)
-    >>> image[30, 20] = 200
-    >>> detect_moravec(image, 10).xy.round(1).tolist()
-    [[20.0, 30.0]]
+    >>> image[30:, 20:] = 200
+    >>> corners = detect_moravec(image, 10)
+    >>> len(corners.xy), bool((abs(corners.xy - [20, 30]) < 2).all())
+    (1, True)
     """
     image = as_image(image, dtypes=(np.uint8,))
     peaks = find_peaks(moravec_response(image), _QUALITY, _BORDER_PX)

@@ -108,8 +108,8 @@ def find_regions(
     Examples
     --------
     >>> import cv2, numpy as np
-    >>> image = cv2.circle(np.full((100, 120), 60, np.uint8), (50, 40), 20, 180, -1)
-    >>> regions = find_regions(cv2.GaussianBlur(image, (0, 0), 1.5))
+    >>> image = cv2.circle(np.full((100, 120), 60, np.uint8), (50, 40), 12, 180, -1)
+    >>> regions = find_regions(cv2.GaussianBlur(image, (0, 0), 2))
     >>> regions.xy.round(1).tolist(), (abs(regions.area / np.count_nonzero(image == 180) - 1) < 0.05).tolist()
     ([[50.0, 40.0]], [True])
     """
@@ -145,6 +145,7 @@ class _Nested:
     dark : (N,) whether the surroundings are lighter
     threshold : (N,) the largest value in a dark region, the least in a light one
     depth : (N,) difference of the two
+    gap : (N,) from the threshold to a pixel that touches the region from outside
     """
 
     pixels: NDArray[np.int32]
@@ -154,6 +155,7 @@ class _Nested:
     dark: Mask
     threshold: NDArray[np.int16]
     depth: NDArray[np.int16]
+    gap: NDArray[np.int16]
 
 
 def _nested(image: Image, found: Sequence[NDArray[np.int32]]) -> _Nested:
@@ -169,8 +171,9 @@ def _nested(image: Image, found: Sequence[NDArray[np.int32]]) -> _Nested:
     position = pixels[:, 0].astype(np.int64) * height + pixels[:, 1]
     left, right = (f.reduceat(position, start) for f in (np.minimum, np.maximum))
     outside = np.where(left >= height, left - height, np.minimum(right + height, height * width - 1))
-    dark = image[outside % height, outside // height] > high
-    return _Nested(pixels, count, start, xy, dark, np.where(dark, high, low), high - low)
+    beside = image[outside % height, outside // height].astype(np.int16)
+    threshold = np.where(beside > high, high, low)
+    return _Nested(pixels, count, start, xy, beside > high, threshold, high - low, np.abs(beside - threshold))
 
 
 def _families(nested: _Nested) -> Indices:
@@ -193,13 +196,14 @@ def _families(nested: _Nested) -> Indices:
 
 def _at_middle(image: Image, nested: _Nested, family: Indices, delta: int) -> Regions:
     """Return one region for each family: at the middle of the thresholds at which it is stable."""
+    # The top of a hill, of which a stricter threshold leaves nothing, is stable only where it ends in a cliff.
+    deep, cliff = nested.depth >= 2 * delta, nested.gap > 2 * delta
     by_size = np.lexsort((nested.count, family))
-    largest = by_size[np.flatnonzero(np.diff(np.r_[family[by_size], -1]) != 0)]
-    # The top of a hill, from which a stricter threshold leaves nothing, is no stable region of it.
-    deep = by_size[nested.depth[by_size] >= 2 * delta]
-    smallest = largest.copy()
-    families, first = np.unique(family[deep], return_index=True)
-    smallest[families] = deep[first]
+    by_size = by_size[(deep | cliff)[by_size]]
+    if not len(by_size):
+        return Regions(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    ends = np.flatnonzero(np.diff(family[by_size], append=-1) != 0)
+    smallest, largest = by_size[np.r_[0, ends[:-1] + 1]], by_size[ends]
     dark, count = nested.dark[largest], nested.count[largest]
     start = np.cumsum(count) - count
     pixels = nested.pixels[np.arange(count.sum()) + np.repeat(nested.start[largest] - start, count)]
@@ -218,4 +222,5 @@ def _at_middle(image: Image, nested: _Nested, family: Indices, delta: int) -> Re
         for pixels_in in (inside, held(upper), held(upper - 2 * delta))
     )
     xy = np.add.reduceat(pixels * inside[:, None], start, axis=0, dtype=np.int64) / area[:, None]
-    return Regions(xy, area.astype(np.float64), area / (area + laxer - stricter))
+    variation = np.where(deep[largest], (laxer - stricter) / area, 0.0)
+    return Regions(xy, area.astype(np.float64), 1 / (1 + variation))

@@ -45,7 +45,7 @@ def detect_orb(image: Image, max_count: int) -> Corners:
     Examples
     --------
     >>> import numpy as np
-    >>> image = np.kron(np.random.default_rng(0).integers(0, 256, (12, 16)), np.ones((20, 20))).astype(np.uint8)
+    >>> image = np.random.default_rng(0).integers(0, 256, (120, 160), np.uint8)
     >>> corners = detect_orb(image, 50)
     >>> len(corners.xy), bool((corners.response[:-1] >= corners.response[1:]).all())
     (50, True)
