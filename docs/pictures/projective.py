@@ -44,7 +44,7 @@ def draw(path: Path) -> None:
         axes.set_ylim(1.5, -1.7)  # y points down, as in an image
         axes.set_xticks([])
         axes.set_yticks([])
-    figure.savefig(path, metadata={"Software": None})
+    figure.savefig(path, metadata={"Software": None}, bbox_inches="tight")
 
 
 def _grid() -> list[Points]:
