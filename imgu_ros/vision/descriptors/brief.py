@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
-from imgu_ros.vision.descriptors.described import Described
+from imgu_ros.vision.descriptors.described import Described, checked_corners
 from imgu_ros.vision.keypoints.keypoints import Corners
-from imgu_ros.vision.keypoints.opencv import require_describable
 
 #: Side of the patch, px of the level.
 PATCH_PX = 31
@@ -52,7 +51,7 @@ def describe_brief(image: Image, corners: Corners, seed: int = _SEED) -> Describ
     (1, 32)
     """
     image = as_image(image, dtypes=(np.uint8,))
-    require_describable(corners)
+    corners = checked_corners(corners)
     pairs = brief_pairs(seed)
     height, width = image.shape
     margin = PATCH_PX // 2

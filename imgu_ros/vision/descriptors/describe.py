@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Image, Indices
+from imgu_ros.types import Choice, Image, Indices, as_matrix, as_points
 from imgu_ros.vision.descriptors.brief import describe_brief
 from imgu_ros.vision.descriptors.described import Described
 from imgu_ros.vision.descriptors.orb import describe_orb
@@ -62,6 +62,7 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
         If a keypoint names a level that the pyramid lacks.
     """
     kind = DescriptorKind(kind)
+    keypoints = _checked(keypoints)
     if len(keypoints) and not 0 <= int(keypoints.octave.min()) <= int(keypoints.octave.max()) < len(pyramid.levels):
         raise ShapeError(f"keypoints.octave: up to {keypoints.octave.max()}; need 0 to {len(pyramid.levels) - 1}")
     rows: list[Image] = []
@@ -91,6 +92,19 @@ def empty_descriptors(kind: DescriptorKind | str) -> Image:
         return np.zeros((0, 32), np.uint8)
     return np.zeros((0, SIDE**2 if kind is DescriptorKind.PATCH else 128), np.float32)
 
+
+def _checked(keypoints: Keypoints) -> Keypoints:
+    xy = as_points(keypoints.xy, "keypoints.xy")
+    scale, angle, response, octave = (
+        as_matrix(getattr(keypoints, name), (len(xy),), f"keypoints.{name}")
+        for name in ("scale", "angle", "response", "octave")
+    )
+    if not (np.abs(octave) < _LARGEST_OCTAVE).all() or (octave != np.rint(octave)).any():
+        raise ShapeError("keypoints.octave: fractions or out of range; need the numbers of levels")
+    return Keypoints(xy, scale, angle, response, octave.astype(np.int32))
+
+
+_LARGEST_OCTAVE = 2**31
 
 _DESCRIBERS: dict[DescriptorKind, Callable[[Image, Corners], Described]] = {
     DescriptorKind.ORB: describe_orb,

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from imgu_ros.types import Image, Indices
+from imgu_ros.vision.keypoints.keypoints import Corners
+from imgu_ros.vision.keypoints.opencv import require_describable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,3 +23,20 @@ class Described:
 
     index: Indices
     descriptors: Image
+
+
+def checked_corners(corners: Corners) -> Corners:
+    """Return corners with float64 arrays, when they fit each other and are neither absurdly large nor far away.
+
+    Raises
+    ------
+    ShapeError
+        If they are.
+    """
+    require_describable(corners)
+    return Corners(
+        np.asarray(corners.xy, np.float64),
+        np.asarray(corners.scale, np.float64),
+        np.asarray(corners.angle, np.float64),
+        np.asarray(corners.response, np.float64),
+    )

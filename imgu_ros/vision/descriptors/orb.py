@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image, as_image
-from imgu_ros.vision.descriptors.described import Described
+from imgu_ros.vision.descriptors.described import Described, checked_corners
 from imgu_ros.vision.keypoints.keypoints import Corners
-from imgu_ros.vision.keypoints.opencv import opencv_keypoints, require_describable
+from imgu_ros.vision.keypoints.opencv import opencv_keypoints
 from imgu_ros.vision.keypoints.orb import PATCH_PX
 
 
@@ -21,7 +21,7 @@ def describe_orb(image: Image, corners: Corners) -> Described:
     corners : those nearer to the border than half a patch are left out
     """
     image = as_image(image, dtypes=(np.uint8,))
-    require_describable(corners)
+    corners = checked_corners(corners)
     height, width = image.shape
     margin = PATCH_PX // 2 + 1
     x, y = corners.xy[:, 0], corners.xy[:, 1]

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image, as_matrix, as_points
-from imgu_ros.vision.descriptors.described import Described
+from imgu_ros.vision.descriptors.described import Described, checked_corners
 from imgu_ros.vision.keypoints.keypoints import Corners
-from imgu_ros.vision.keypoints.opencv import require_describable
 
 #: Samples along a side.
 SIDE = 13
@@ -52,7 +51,7 @@ def describe_patch(image: Image, corners: Corners) -> Described:
     [29.0, 32.5, 36.0]
     """
     image = as_image(image, dtypes=(np.uint8,))
-    require_describable(corners)
+    corners = checked_corners(corners)
     step = STEP_PER_SIGMA * corners.scale
     inside = np.flatnonzero(_is_inside(image, corners.xy, step, corners.angle, SIDE))
     descriptors = np.empty((len(inside), SIDE * SIDE), np.float32)

@@ -7,9 +7,9 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
-from imgu_ros.vision.descriptors.described import Described
+from imgu_ros.vision.descriptors.described import Described, checked_corners
 from imgu_ros.vision.keypoints.keypoints import Corners
-from imgu_ros.vision.keypoints.opencv import opencv_keypoints, require_describable
+from imgu_ros.vision.keypoints.opencv import opencv_keypoints
 
 _SMALLEST_SCALE_PX = 0.5
 _SMALLEST_DIAGONAL_PX = 5.0
@@ -29,7 +29,7 @@ def describe_sift(image: Image, corners: Corners) -> Described:
         If a corner's scale is below half a pixel. On a picture too small for any window nothing is described.
     """
     image = as_image(image, dtypes=(np.uint8,))
-    require_describable(corners)
+    corners = checked_corners(corners)
     # OpenCV 4.6 writes outside its memory where the window's radius, 10.6 sigma or the diagonal, is below 5 px.
     if len(corners.xy) and corners.scale.min() < _SMALLEST_SCALE_PX:
         raise ShapeError(f"corners.scale: {corners.scale.min():g}; need at least {_SMALLEST_SCALE_PX} px for SIFT")

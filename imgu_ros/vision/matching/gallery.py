@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Points, as_matrix
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
@@ -42,14 +44,14 @@ def prepare_gallery(
     Raises
     ------
     ShapeError
-        If rows, data type or metric do not fit each other, a row is not finite, or the places are
-        not (M, 2).
+        If rows, data type or metric do not fit each other, a row is not finite, or the places are not
+        (M, 2).
     """
     checked_rows(descriptors, "dst")
     metric = metric_of_rows(descriptors, metric)
     if xy is not None:
         xy = as_matrix(xy, (len(descriptors), 2), "dst_xy")
-    if not same_place_px >= 0:
+    if not 0 <= same_place_px < np.inf:
         raise ShapeError(f"same_place_px: {same_place_px!r}; need a number >= 0")
     prepared = binary_rows(descriptors) if metric is Metric.HAMMING else number_rows(descriptors, metric)
     return Gallery(descriptors, metric, prepared, xy, same_place_px)

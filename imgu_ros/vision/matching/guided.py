@@ -13,7 +13,7 @@ from imgu_ros.types import Floats, Image, Indices, Points, as_points
 from imgu_ros.vision.estimation.nonlinear import Minimiser
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
-from imgu_ros.vision.matching.metrics import Metric, checked_rows
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, require_comparable
 from imgu_ros.vision.projective.estimate import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.refine import HomographyError
@@ -165,8 +165,7 @@ def _guided(
     for name, xy in (("src_xy", src_xy), ("dst_xy", places)):
         if len(xy) and not np.abs(xy).max() < _LARGEST_PX:
             raise ShapeError(f"{name}: up to {np.abs(xy).max():g}; need less than {_LARGEST_PX:g} px")
-    if src.shape[1] != dst.shape[1] or src.dtype != dst.dtype:
-        raise ShapeError(f"dst: {dst.shape[1]} x {dst.dtype}; need {src.shape[1]} x {src.dtype}, as src")
+    require_comparable(src, dst.shape[1], dst.dtype.type)
     if len(src_xy) != len(src):
         raise ShapeError(f"src_xy: {len(src_xy)} points; need {len(src)}, one for each row")
     if not 0 <= radius_px < _LARGEST_PX or not ratio > 0:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices
+from imgu_ros.vision.matching.metrics import checked_rows, require_comparable, require_index
 
 #: Of bits that one product sums up: two such sums fit exactly into the 24 bits of a float32.
 _CHUNK_BITS = 256
@@ -44,10 +46,11 @@ class BinaryRows:
         ------
         (n, M) int16 (int32 where D >= 2^15), the n sum up to N. The next block overwrites it. O(N M D).
         """
+        require_comparable(src, self.rows.shape[1], np.uint8)
         pairs, bits = (len(self.rows) + 1) // 2, 8 * self.rows.shape[1]
         operands = [np.pad(signs, ((0, 0), (0, 1)), constant_values=1) for signs in _signs(src)]
-        height = min(len(src), max(1, _BLOCK_ELEMENTS // (2 * pairs)))
-        at_once = height * max(1, _PRODUCT_ELEMENTS // (height * pairs))
+        height = max(1, min(len(src), _BLOCK_ELEMENTS // max(1, 2 * pairs)))
+        at_once = height * max(1, _PRODUCT_ELEMENTS // max(1, height * pairs))
         both = np.empty((height, pairs), "<i4")
         table = np.empty((height, 2 * pairs), "<i2" if bits < 2**15 else "<i4")
         added = np.tile(np.array([_CHUNK_BITS, 0], "<i2"), pairs)
@@ -69,6 +72,8 @@ class BinaryRows:
 
     def distances(self, src: Image, index: Indices) -> Floats:
         """Return in how many bits each row of `src`, (N, D / 8) uint8, differs from the one of its index, (N,)."""
+        require_comparable(src, self.rows.shape[1], np.uint8)
+        require_index(index, len(src), len(self.rows))
         differing: NDArray[np.uint8] = np.bitwise_xor(src, self.rows[index])
         return np.asarray(np.unpackbits(differing, axis=1).sum(axis=1), np.float64)
 
@@ -80,7 +85,14 @@ def binary_rows(rows: Image) -> BinaryRows:
     become one, `row[2j] + 2^16 row[2j + 1]`, so that one product yields both numbers in half the time. It is exact in
     float32: a sum of up to 255 terms is below 2^24 in magnitude, and that of all 256 is even and below 2^25. A last
     column adds 256 to the lower number, which then is positive and borrows nothing from the upper one.
+
+    Raises
+    ------
+    ShapeError
+        If the rows are not of that kind.
     """
+    if checked_rows(rows, "rows").dtype != np.uint8:
+        raise ShapeError(f"rows: data type {rows.dtype}; need uint8")
     chunks = []
     for signs in _signs(rows):
         packed = np.full(((len(rows) + 1) // 2, signs.shape[1] + 1), _CHUNK_BITS, np.float32)

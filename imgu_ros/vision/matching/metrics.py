@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Image
+from imgu_ros.types import Choice, Image, Indices
 from imgu_ros.vision.descriptors.describe import DescriptorKind
 
 
@@ -87,6 +87,33 @@ def checked_rows(rows: Image, name: str) -> Image:
     if rows.dtype == np.float32 and rows.size and not -np.inf < rows.min() <= rows.max() < np.inf:
         raise ShapeError(f"{name}: NaN or infinity; need finite numbers")
     return rows
+
+
+def require_comparable(src: Image, columns: int, dtype: type) -> None:
+    """Check descriptors that are to be compared with others of `columns` elements of `dtype`.
+
+    Raises
+    ------
+    ShapeError
+        If `checked_rows` refuses them, or they have another length or data type.
+    """
+    checked_rows(src, "src")
+    if src.shape[1] != columns or src.dtype != dtype:
+        raise ShapeError(f"src: {src.shape[1]} x {src.dtype}; need {columns} x {np.dtype(dtype)}, as dst")
+
+
+def require_index(index: Indices, length: int, count: int) -> None:
+    """Check indices into `count` rows, of which there are to be `length`.
+
+    Raises
+    ------
+    ShapeError
+        If it is no (length,) array of integers, or one is out of range.
+    """
+    if not isinstance(index, np.ndarray) or index.dtype.kind not in "iu" or index.shape != (length,):
+        raise ShapeError(f"index: {getattr(index, 'shape', type(index).__name__)}; need ({length},) integers")
+    if len(index) and not 0 <= index.min() <= index.max() < count:
+        raise ShapeError(f"index: {index.min()} to {index.max()}; need 0 to {count - 1}")
 
 
 _METRICS = {

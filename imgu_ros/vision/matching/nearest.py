@@ -12,9 +12,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices, Mask, Points
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
-from imgu_ros.vision.matching.metrics import Metric, checked_rows
-
-__all__ = ["Metric", "match", "match_to_gallery"]
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, require_comparable
 
 
 def match(
@@ -61,10 +59,7 @@ def match_to_gallery(src: Image, gallery: Gallery, ratio: float = 0.85, mutual: 
     ShapeError
         If the rows do not fit the gallery's, one is not finite, or `ratio` is not positive.
     """
-    checked_rows(src, "src")
-    dst = gallery.descriptors
-    if src.shape[1] != dst.shape[1] or src.dtype != dst.dtype:
-        raise ShapeError(f"dst: {dst.shape[1]} x {dst.dtype}; need {src.shape[1]} x {src.dtype}, as src")
+    require_comparable(src, gallery.descriptors.shape[1], gallery.descriptors.dtype.type)
     if not ratio > 0:
         raise ShapeError(f"ratio: {ratio!r}; need a number > 0")
     if not len(src) or not len(gallery):

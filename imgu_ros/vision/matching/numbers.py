@@ -9,8 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices
-from imgu_ros.vision.matching.metrics import Metric
+from imgu_ros.vision.matching.metrics import (
+    Metric,
+    checked_rows,
+    metric_of_rows,
+    require_comparable,
+    require_index,
+)
 
 #: What one block of a table holds: some MB, whatever the sizes of the sets.
 _BLOCK_ELEMENTS = 2**20
@@ -46,6 +53,7 @@ class NumberRows:
         ------
         (n, M) float32 or float64, the n sum up to N. O(N M D).
         """
+        require_comparable(src, self.rows.shape[1], np.float32)
         a, b = _compared(src, self.metric, self.origin), self.rows
         if a.dtype != b.dtype:
             a, b = a.astype(np.float64), b.astype(np.float64)
@@ -62,6 +70,8 @@ class NumberRows:
 
     def distances(self, src: Image, index: Indices) -> Floats:
         """Return the distance of each row of `src`, (N, D) float32, to the one of its index, (N,), as float64."""
+        require_comparable(src, self.rows.shape[1], np.float32)
+        require_index(index, len(src), len(self.rows))
         a, b = _compared(src, self.metric, self.origin), self.rows[index]
         squared = np.square(a.astype(np.float64) - b).sum(axis=1)
         if self.metric in _ANGULAR:
@@ -70,8 +80,17 @@ class NumberRows:
         return np.asarray(np.sqrt(squared) if self.metric is Metric.EUCLIDEAN else squared)
 
 
-def number_rows(rows: Image, metric: Metric) -> NumberRows:
-    """Prepare (M, D) float32 rows for comparison."""
+def number_rows(rows: Image, metric: Metric | str) -> NumberRows:
+    """Prepare (M, D) float32 rows for comparison by a metric of numbers.
+
+    Raises
+    ------
+    ShapeError
+        If the rows or the metric are not of that kind.
+    """
+    metric = metric_of_rows(checked_rows(rows, "rows"), metric)
+    if metric is Metric.HAMMING:
+        raise ShapeError(f"rows: data type {rows.dtype}; need float32")
     origin = np.zeros(rows.shape[1])
     if len(rows) and metric in (Metric.EUCLIDEAN, Metric.SSD) and not _are_exact(rows):
         origin = rows.mean(axis=0, dtype=np.float64)

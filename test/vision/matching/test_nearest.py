@@ -9,7 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.matching.nearest import Metric, match
+from imgu_ros.vision.matching import hamming, numbers
+from imgu_ros.vision.matching.gallery import prepare_gallery
+from imgu_ros.vision.matching.metrics import Metric
+from imgu_ros.vision.matching.nearest import match, match_to_gallery
 
 
 def distance_by_definition(a, b, metric):
@@ -18,6 +21,10 @@ def distance_by_definition(a, b, metric):
     a, b = [float(x) for x in a], [float(x) for x in b]
     if metric == "euclidean":
         return math.dist(a, b)
+    if metric in ("zmssd", "ncc"):
+        a, b = ([x - math.fsum(row) / len(row) for x in row] for row in (a, b))
+    if metric in ("ssd", "zmssd"):
+        return math.dist(a, b) ** 2
     lengths = math.hypot(*a) * math.hypot(*b)
     return 1 - (math.fsum(x * y for x, y in zip(a, b, strict=True)) / lengths if lengths else 0)
 
@@ -82,7 +89,7 @@ def test_hamming_with_ties_against_loops(rng, n, m, ratio, mutual, placed):
         }
 
 
-@pytest.mark.parametrize("metric", ["auto", "euclidean", "cosine", "hamming"])
+@pytest.mark.parametrize("metric", ["auto", "euclidean", "cosine", "hamming", "ssd", "zmssd", "ncc"])
 @given(bits, st.integers(1, 20), st.integers(1, 20), st.sampled_from([0.7, 0.9, 1.0]), st.booleans(), st.booleans())
 def test_every_metric_against_loops(metric, rng, n, m, ratio, mutual, placed):
     if metric == "hamming":
@@ -96,6 +103,89 @@ def test_every_metric_against_loops(metric, rng, n, m, ratio, mutual, placed):
     if metric == "auto":
         same = match(src, dst, Metric.AUTO, ratio, mutual, xy)
         np.testing.assert_array_equal(same.index_src, got.index_src)
+
+
+@given(bits, st.integers(1, 40), st.integers(1, 40), st.sampled_from([1, 3, 31, 32, 33, 70]), st.booleans())
+def test_bits_in_blocks_and_of_any_length(rng, n, m, columns, placed):
+    # Nearly equal and nearly opposite rows: the largest sums, where single precision is at its limit.
+    base = rng.integers(0, 256, columns, np.uint8) if placed else np.uint8(255 * rng.integers(0, 2))
+    src, dst = (base ^ np.uint8(255) * rng.integers(0, 2, (k, 1), np.uint8) for k in (n, m))
+    src, dst = (rows * np.ones(columns, np.uint8) for rows in (src, dst))
+    for rows in (src, dst):
+        rows[rng.random(len(rows)) < 0.5, rng.integers(0, columns)] ^= np.uint8(1 << rng.integers(0, 8))
+    xy = rng.integers(0, 40, (m, 2)).astype(float) if placed else None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hamming, "_BLOCK_ELEMENTS", int(rng.integers(1, 200)))
+        patch.setattr(hamming, "_PRODUCT_ELEMENTS", int(rng.integers(1, 400)))
+        patch.setattr(numbers, "_BLOCK_ELEMENTS", int(rng.integers(1, 200)))
+        got, _ = check(src, dst, "hamming", 0.9, True, xy)
+        tables = np.concatenate([table.copy() for table in hamming.binary_rows(dst).tables(src)])
+        check(src[:, :2].astype(np.float32), dst[:, :2].astype(np.float32), "euclidean", 0.9, True, xy)
+    expected = [[8 * columns - 2 * distance_by_definition(a, b, "hamming") for b in dst] for a in src]
+    np.testing.assert_array_equal(tables, expected)
+    assert all(a.is_integer() for a in got.distance.tolist())
+
+
+def test_rows_of_many_bits():
+    rng = np.random.default_rng(11)
+    src = rng.integers(0, 256, (5, 5000), np.uint8)
+    dst = np.vstack([~src, src[::-1]])
+    got = match(src, dst)
+    assert got.index_dst.tolist() == [9 - i for i in got.index_src.tolist()] and len(got) == 5
+    assert not got.distance.any()
+
+
+def test_a_gallery_answers_as_the_rows_themselves():
+    rng = np.random.default_rng(12)
+    xy = rng.uniform(0, 60, (90, 2))
+    binary = rng.integers(0, 256, (50, 32), np.uint8), rng.integers(0, 256, (90, 32), np.uint8)
+    real = [rng.normal(size=(k, 40)).astype(np.float32) for k in (50, 90)]
+    for metric in Metric:
+        src, dst = binary if metric is Metric.HAMMING else real
+        gallery = prepare_gallery(dst, metric, xy)
+        assert len(gallery) == 90
+        for _ in range(2):  # using it does not change it
+            got, expected = match_to_gallery(src, gallery, 0.95), match(src, dst, metric, 0.95, dst_xy=xy)
+            for name in ("index_src", "index_dst", "distance"):
+                np.testing.assert_array_equal(getattr(got, name), getattr(expected, name))
+        with pytest.raises(ShapeError, match="need"):
+            match_to_gallery(src[:, :7], gallery)
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "ssd", "zmssd", "ncc", "cosine"])
+@pytest.mark.parametrize("size", [1e-30, 1.0, 3e35])
+def test_numbers_of_any_size(metric, size):
+    rng = np.random.default_rng(13)
+    dst = (rng.normal(size=(40, 30)) * size).astype(np.float32)
+    src = (dst[::-1].astype(float) * 1.001).astype(np.float32)
+    got = match(src, dst, metric, 0.5)
+    assert sorted(got.index_src.tolist()) == list(range(40))
+    assert (got.index_dst == 39 - got.index_src).all() and np.isfinite(got.distance).all()
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "ssd", "zmssd", "ncc"])
+def test_small_differences_of_large_numbers(metric):
+    # Products of such rows agree in all digits of single precision.
+    rng = np.random.default_rng(14)
+    dst = (1e5 + rng.integers(-8, 9, (50, 20)) / 16).astype(np.float32)
+    src = (dst[rng.permutation(50)] + rng.integers(-1, 2, (50, 20)) / 16).astype(np.float32)
+    check(src, dst, metric, 0.9, True)
+
+
+def test_offset_and_gain():
+    rng = np.random.default_rng(15)
+    src, dst = (rng.integers(0, 64, (k, 25)).astype(np.float32) for k in (20, 30))
+    gain, offset = rng.integers(1, 5, (30, 1)), rng.integers(-100, 100, (30, 1))
+    for metric, changed in (("zmssd", dst + offset), ("ncc", dst * gain + offset), ("cosine", dst * gain)):
+        a, b = (match(src, rows.astype(np.float32), metric, 1.0, False) for rows in (dst, changed))
+        np.testing.assert_array_equal(a.index_dst, b.index_dst)
+        np.testing.assert_allclose(a.distance, b.distance, atol=1e-12)
+
+
+def test_constant_patches_resemble_nothing():
+    flat = np.full((2, 9), 0.1, np.float32)
+    other = np.arange(9, dtype=np.float32)[None]
+    assert match(flat, np.vstack([flat, other]), "ncc", 1.0, False).distance.tolist() == [1.0, 1.0]
 
 
 def test_euclidean_ties_of_whole_numbers():
@@ -197,7 +287,9 @@ F, B = np.ones((3, 8), np.float32), np.ones((3, 8), np.uint8)
         (B, B, {"metric": "manhattan"}),
         (F * np.nan, F, {}),
         (F, np.where(np.eye(3, 8) > 0, np.inf, F).astype(np.float32), {"metric": "cosine"}),
-        (F * np.float32(1e30), F, {}),
+        (B, F, {"metric": "ncc"}),
+        (F, F, {"same_place_px": -1}),
+        (F, F, {"same_place_px": math.nan}),
         (F, F, {"ratio": math.nan}),
         (F, F, {"ratio": 0}),
         (F, F, {"dst_xy": np.zeros((2, 2))}),
