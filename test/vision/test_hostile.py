@@ -70,9 +70,15 @@ def _load(room: str) -> Room:
     return Room(calls, frozenset(infinite), broken or ("" if paths else f"test/vision/{room}/calls.py is missing"))
 
 
+BROKEN: list[str] = []
+
+
 def _modules() -> Iterator[ModuleType]:
     for info in pkgutil.walk_packages(imgu_ros.vision.__path__, "imgu_ros.vision."):
-        yield importlib.import_module(info.name)
+        try:
+            yield importlib.import_module(info.name)
+        except Exception as error:  # one broken module must not hide the others
+            BROKEN.append(f"{info.name}: {error!r}")
 
 
 def _takes_array(function: Callable[..., Any]) -> bool:
@@ -120,6 +126,8 @@ EXTRA = {
     if call not in PUBLIC.values()
 }
 EVERY = PUBLIC | EXTRA
+#: What has no call yet fails in `test_valid_call` alone.
+LISTED = [name for name, call in EVERY.items() if call in ROOMS[name.split(".", 1)[0]].calls]
 
 # ---------------------------------------------------------------------------------------------------------------------
 # Mutations
@@ -319,13 +327,17 @@ def _room_of(name: str) -> Room:
     return room
 
 
+def test_every_module_imports() -> None:
+    assert BROKEN == []
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_valid_call(name: str) -> None:
     room = _room_of(name)
     _call(EVERY[name], room.calls[EVERY[name]](np.random.default_rng(0)), EVERY[name] in room.infinite)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", LISTED)
 def test_hostile_argument(name: str) -> None:
     room, function = _room_of(name), EVERY[name]
     cases = list(_cases(room.calls[function](np.random.default_rng(0))))
@@ -335,7 +347,7 @@ def test_hostile_argument(name: str) -> None:
         pytest.fail(f"{name}: {len(wrong)} of {len(cases)} hostile calls:\n  " + "\n  ".join(wrong), pytrace=False)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", LISTED)
 def test_hostile_arguments_together(name: str) -> None:
     room, function = _room_of(name), EVERY[name]
     cases = list(_cases(room.calls[function](np.random.default_rng(0))))
