@@ -236,6 +236,11 @@ class MatchingParameters:
 @dataclass(frozen=True, slots=True)
 class HomographyParameters:
     sampler: str = parameter("prosac", "How minimal samples are drawn.", choices=("uniform", "prosac"))
+    score: str = parameter(
+        "truncated",
+        "What the search minimises: squared distances up to the threshold, or a wider loss in both images (slower).",
+        choices=("truncated", "biweight"),
+    )
     threshold_px: float = parameter(
         3.0, "Largest distance of an inlier, in pixels of the full image.", unit="px", minimum=0.1, maximum=100.0
     )
@@ -245,12 +250,14 @@ class HomographyParameters:
     max_iterations: int = parameter(2000, "Most samples drawn.", minimum=1, maximum=1_000_000)
     min_inliers: int = parameter(12, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
     error: str = parameter(
-        "sampson", "Error that the refinement minimises.", choices=("algebraic", "symmetric", "sampson")
+        "sampson",
+        "Error that the refinement minimises.",
+        choices=("algebraic", "transfer", "symmetric", "sampson", "reprojection"),
     )
     refine: str = parameter(
         "levenberg_marquardt",
         "How the inliers' error is minimised.",
-        choices=("none", "gauss_newton", "levenberg_marquardt"),
+        choices=("none", "steepest_descent", "gauss_newton", "levenberg_marquardt"),
     )
 
 

@@ -102,6 +102,7 @@ def _located(
         rng,
         threshold_px=p.threshold_px,
         sampler=p.sampler,
+        score=p.score,
         confidence=p.confidence,
         max_iterations=p.max_iterations,
         min_inliers=p.min_inliers,

@@ -1,22 +1,26 @@
-"""Nonlinear least squares: Gauss-Newton and Levenberg-Marquardt on one contract (notes 7.3; HZ appendix 6)."""
+"""Nonlinear least squares: steepest descent, Gauss-Newton and Levenberg-Marquardt on one contract.
+
+Notes 7.3.2 to 7.3.5; HZ appendix 6.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
-from imgu_ros.types import Floats
+from imgu_ros.types import Choice, Floats
+from imgu_ros.vision.estimation.losses import Loss
 
 
-class Minimiser(StrEnum):
+class Minimiser(Choice):
     """Methods of minimisation."""
 
+    STEEPEST_DESCENT = "steepest_descent"
     GAUSS_NEWTON = "gauss_newton"
     LEVENBERG_MARQUARDT = "levenberg_marquardt"
 
@@ -57,7 +61,7 @@ class Minimum:
     estimate : the best estimate
     linearisation : the problem there
     weights : (N,) weight of each measurement there, 0 to 1
-    iterations : linear systems solved
+    iterations : steps tried
     converged : whether the last step was below the tolerance
     """
 
@@ -75,10 +79,6 @@ class Minimum:
         return flat.T @ flat
 
 
-#: A robust loss: weight (N,) and cost (N,) of the measurements' squared lengths (N,).
-Loss = Callable[[Floats], tuple[Floats, Floats]]
-
-
 def minimise(
     problem: LeastSquaresProblem,
     start: Floats,
@@ -94,9 +94,10 @@ def minimise(
     ----------
     problem, start : the problem and where to start
     method : Gauss-Newton takes every step; Levenberg-Marquardt only those that lower the cost, and damps the
-        others (Marquardt's scaling by the diagonal)
+        others (Marquardt's scaling by the diagonal); steepest descent goes down the gradient, tens of times as many
+        steps
     loss : robust loss, applied by iterative reweighting; None: plain least squares
-    max_iterations : most linear systems solved
+    max_iterations : most steps tried
     tolerance : stop when no parameter's step exceeds this share of its own standard deviation at unit noise,
         or when the cost falls by less than this share
 
@@ -104,12 +105,28 @@ def minimise(
     ------
     DegenerateConfiguration
         If the measurements do not determine the parameters.
+
+    Examples
+    --------
+    The mean of three numbers, as the least squares of their distances:
+
+    >>> class Mean:
+    ...     def linearise(self, estimate):
+    ...         return Linearisation(estimate - np.array([[1.0], [2.0], [6.0]]), np.ones((3, 1, 1)))
+    ...     def step(self, estimate, delta):
+    ...         return estimate + delta
+    >>> minimum = minimise(Mean(), np.array([0.0]), "gauss_newton")
+    >>> minimum.estimate.round(9).tolist(), minimum.converged
+    ([3.0], True)
     """
-    damped = Minimiser(method) is Minimiser.LEVENBERG_MARQUARDT
+    method = Minimiser(method)
+    guarded = method is not Minimiser.GAUSS_NEWTON
+    # Steepest descent goes on for long with little gain at each step.
+    enough = tolerance**2 if method is Minimiser.STEEPEST_DESCENT else tolerance
     estimate = start
     current = problem.linearise(estimate)
     weights, cost = _weighted(current.residuals, loss)
-    damping = 1e-4 if damped else 0.0
+    caution = _FIRST_CAUTION[method]
     converged = False
     iterations = 0
     while iterations < max_iterations and not converged:
@@ -117,40 +134,28 @@ def minimise(
         accepted = False
         while iterations < max_iterations and not accepted:
             iterations += 1
-            delta = _solved(normal, gradient, damping)
+            delta = _STEPS[method](normal, gradient, caution)
             moved = problem.step(estimate, delta)
             try:
                 # Most steps are accepted: their derivative will be needed, and comes at little more than the residuals.
                 trial = problem.linearise(moved)
                 new_weights, new_cost = _weighted(trial.residuals, loss)
             except EstimationError:
-                if not damped:
+                if not guarded:
                     raise
                 new_weights, new_cost = weights, math.inf  # out of the problem's domain: a step too long
-            accepted = new_cost <= cost or not damped
+            accepted = new_cost <= cost or not guarded
             small = float(delta @ normal @ delta) <= tolerance**2
             if accepted:
-                converged = small or abs(cost - new_cost) <= tolerance * cost
+                converged = small or abs(cost - new_cost) <= enough * cost
                 estimate, current, weights, cost = moved, trial, new_weights, new_cost
-                damping = max(damping / 10, 1e-12) if damped else 0.0
-            elif small or damping > 1e12:
+                caution = max(caution / 10, 1e-12) if guarded else 0.0
+            elif small or caution > 1e12:
                 converged = True
                 break
             else:
-                damping *= 10
+                caution *= 10
     return Minimum(estimate, current, weights, iterations, converged)
-
-
-def huber(scale: float) -> Loss:
-    """Return Huber's loss: quadratic to `scale`, linear beyond (Huber 1964)."""
-
-    def loss(squared: Floats) -> tuple[Floats, Floats]:
-        length = np.sqrt(squared)
-        far = length > scale
-        safe = np.where(far, length, 1.0)
-        return np.where(far, scale / safe, 1.0), np.where(far, 2 * scale * length - scale**2, squared)
-
-    return loss
 
 
 def _weighted(residuals: Floats, loss: Loss | None) -> tuple[Floats, float]:
@@ -168,12 +173,8 @@ def _normal_equations(current: Linearisation, weights: Floats) -> tuple[Floats, 
     return jacobian.T @ jacobian, jacobian.T @ residuals
 
 
-def _solved(normal: Floats, gradient: Floats, damping: float) -> Floats:
-    scale = np.sqrt(np.diag(normal))
-    if not (np.isfinite(normal).all() and (scale > 0).all()):
-        raise DegenerateConfiguration(
-            "normal equations: a parameter has no effect; need measurements that determine it"
-        )
+def _newton_step(normal: Floats, gradient: Floats, damping: float) -> Floats:
+    scale = _scale(normal)
     scaled = normal / np.outer(scale, scale) + damping * np.eye(len(normal))
     try:
         return np.linalg.solve(scaled, -gradient / scale) / scale
@@ -181,3 +182,38 @@ def _solved(normal: Floats, gradient: Floats, damping: float) -> Floats:
         raise DegenerateConfiguration(
             "normal equations: singular; need measurements that determine every parameter"
         ) from None
+
+
+def _descent_step(normal: Floats, gradient: Floats, caution: float) -> Floats:
+    """Return the step down the gradient of parameters in units of their own effect, to the least predicted cost.
+
+    A tenth less than that breaks the zigzag of exact steps (Raydan & Svaiter 2002), several times faster.
+    """
+    scale = _scale(normal)
+    downhill = -gradient / scale
+    curvature = float(downhill / scale @ normal @ (downhill / scale))
+    if curvature <= 0:
+        return np.zeros_like(gradient)
+    return np.asarray(0.9 / (1 + caution) * float(downhill @ downhill) / curvature * downhill / scale, np.float64)
+
+
+def _scale(normal: Floats) -> Floats:
+    scale = np.sqrt(np.diag(normal))
+    if not (np.isfinite(normal).all() and (scale > 0).all()):
+        raise DegenerateConfiguration(
+            "normal equations: a parameter has no effect; need measurements that determine it"
+        )
+    return np.asarray(scale, np.float64)
+
+
+#: Marquardt's damping, or the shortening of a descent, at the start; both are raised while steps fail.
+_FIRST_CAUTION = {
+    Minimiser.STEEPEST_DESCENT: 1e-4,
+    Minimiser.GAUSS_NEWTON: 0.0,
+    Minimiser.LEVENBERG_MARQUARDT: 1e-4,
+}
+_STEPS: dict[Minimiser, Callable[[Floats, Floats, float], Floats]] = {
+    Minimiser.STEEPEST_DESCENT: _descent_step,
+    Minimiser.GAUSS_NEWTON: _newton_step,
+    Minimiser.LEVENBERG_MARQUARDT: _newton_step,
+}

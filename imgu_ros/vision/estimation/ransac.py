@@ -1,22 +1,36 @@
 """Random sample consensus for any model (notes 7.5; Fischler & Bolles 1981; HZ section 4.7).
 
-Hypotheses are generated and scored in batches. The score is the truncated sum of squares (MSAC, Torr & Zisserman
-2000), and each new best hypothesis is refitted to its own inliers (LO-RANSAC, Chum, Matas & Kittler 2003).
+Hypotheses are generated and scored in batches, and each promising one is refitted to its own inliers (LO-RANSAC,
+Chum, Matas & Kittler 2003).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from imgu_ros.errors import EstimationError, NoConsensus, ShapeError
-from imgu_ros.types import Floats, Indices, Mask
+from imgu_ros.types import Choice, Floats, Indices, Mask
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
 
 _LOCAL_STEPS = 4
+#: The biweight reaches this many thresholds far: a threshold that is a little wrong then does little harm.
+_REACH = 8 / 3
+#: Reaches of the successive weighted fits, in those of the score: a sample's errors magnify away from it.
+_ANNEALING = (2.0, 1.4, 1.0, 1.0, 1.0, 1.0)
+#: Hypotheses of each batch that are fitted by weight.
+_PROMISING = 2
+
+
+class Score(Choice):
+    """What a point adds to the cost of a hypothesis, by its error."""
+
+    TRUNCATED = "truncated"  #: squared error up to the threshold's, MSAC (Torr & Zisserman 2000)
+    BIWEIGHT = "biweight"  #: Tukey's loss, 8/3 thresholds wide: as if the threshold were averaged over, slower
 
 
 class RobustModel(Protocol):
@@ -38,6 +52,14 @@ class RobustModel(Protocol):
 
     def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
         """Return one hypothesis fitted to the inliers; raises EstimationError when they do not determine it."""
+
+
+@runtime_checkable
+class WeightedModel(RobustModel, Protocol):
+    """A model that can also be fitted by weight, many at once: what the biweight score makes best use of."""
+
+    def refit_weighted(self, hypotheses: Floats, weights: Floats) -> Floats:
+        """Return the hypotheses (B', ...) fitted with weights (B, N) of the squared errors; undetermined give none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +84,13 @@ def ransac(
     rng: np.random.Generator,
     *,
     sampler: Sampler | str = Sampler.UNIFORM,
+    score: Score | str = Score.TRUNCATED,
     confidence: float = 0.9999,
     max_iterations: int = 2000,
     min_inliers: int = 0,
     unit: str = "",
 ) -> Consensus:
-    """Find the hypothesis with the smallest truncated squared error.
+    """Find the hypothesis with the smallest robust error.
 
     Parameters
     ----------
@@ -75,8 +98,10 @@ def ransac(
     threshold : largest error of an inlier, in the unit of the model's errors
     rng : source of the draws
     sampler : uniform, or prosac when the points are sorted best first
+    score : what is minimised
     confidence : stop when a better sample than the best would have been drawn with this probability
-    max_iterations : most samples
+    max_iterations : most samples; with the biweight score most hypotheses: samples that give none are drawn again,
+        up to ten times as many in all
     min_inliers : fewest inliers of an answer; at least sample_size + 1 are asked for
     unit : of the threshold, for the message of NoConsensus
 
@@ -88,48 +113,64 @@ def ransac(
         If no hypothesis reaches the wanted number of inliers.
     ShapeError
         If an option is out of range.
+
+    Examples
+    --------
+    >>> from imgu_ros.vision.estimation.line import LineModel
+    >>> points = np.array([[3, 0], [3, 5], [3, 1], [8, 8], [3, 9], [0, 6], [3, 7]])
+    >>> ransac(LineModel(points), 0.1, np.random.default_rng(0)).inliers.tolist()
+    [True, True, True, False, True, False, True]
     """
-    if not (threshold > 0 and 0 < confidence < 1 and max_iterations >= 1):
+    if not (0 < threshold < 1e150 and 0 < confidence < 1 and max_iterations >= 1):
         raise ShapeError(
             f"threshold, confidence, max_iterations: {threshold}, {confidence}, {max_iterations}; "
             "need > 0, between 0 and 1, >= 1"
         )
     limit = threshold**2
-    best: Floats | None = None
-    best_errors = np.zeros(0)
-    best_cost = math.inf
-    needed = max_iterations
-    drawn = 0
-    for samples in draw_samples(sampler, model.count, model.sample_size, rng):
-        samples = samples[: max_iterations - drawn]
+    search = _SEARCHES[Score(score)](model, limit)
+    most_drawn = max_iterations * search.draws_for_each
+    needed = most_drawn
+    drawn = scored = 0
+    for samples in draw_samples(sampler, model.count, model.sample_size, rng, search.largest_batch):
+        samples = samples[: most_drawn - drawn]
         drawn += len(samples)
         hypotheses = model.generate(samples)
-        if len(hypotheses):
-            errors = model.squared_errors(hypotheses)
-            costs = np.minimum(errors, limit).sum(axis=1)
-            winner = int(np.argmin(costs))
-            if costs[winner] < best_cost:
-                best, best_errors, best_cost = hypotheses[winner], errors[winner], float(costs[winner])
-                best, best_errors, best_cost = _polished(model, best, best_errors, best_cost, limit)
-                inliers = int(np.count_nonzero(best_errors <= limit))
-                needed = min(needed, iterations_needed(inliers / model.count, model.sample_size, confidence))
-        if drawn >= min(needed, max_iterations):
+        scored += len(hypotheses)
+        if len(hypotheses) and search.improve(hypotheses):
+            inliers = int(np.count_nonzero(search.errors <= limit))
+            needed = min(needed, iterations_needed(inliers / model.count, model.sample_size, confidence))
+        if drawn >= min(needed, most_drawn) or scored >= max_iterations:
             break
-    inlier_mask = best_errors <= limit
+    inlier_mask = search.errors <= limit
     found = int(np.count_nonzero(inlier_mask))
     wanted = max(min_inliers, model.sample_size + 1)
-    if best is None or found < wanted:
+    if search.best is None or found < wanted:
         raise NoConsensus(
             f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}"
         )
-    return Consensus(best, inlier_mask, drawn)
+    return Consensus(search.best, inlier_mask, drawn)
 
 
 def iterations_needed(inlier_share: float, sample_size: int, confidence: float) -> int:
-    """Return how many samples give one free of outliers with the wanted probability (HZ equation 4.18).
+    """Return how many samples give one free of outliers with the wanted probability (notes 7.5; HZ equation 4.18).
 
     K = log(1 - p) / log(1 - r^m); 1 when all points are inliers, and 2^62 when none is.
+
+    Raises
+    ------
+    ShapeError
+        If the share is not 0 to 1, the sample empty, or the confidence not between 0 and 1.
+
+    Examples
+    --------
+    >>> iterations_needed(0.5, 4, 0.99)  # HZ table 4.3
+    72
     """
+    if not (0 <= inlier_share <= 1 and sample_size >= 1 and 0 < confidence < 1):
+        raise ShapeError(
+            f"inlier_share, sample_size, confidence: {inlier_share}, {sample_size}, {confidence}; "
+            "need 0 to 1, >= 1, between 0 and 1"
+        )
     good = inlier_share**sample_size
     if good >= 1:
         return 1
@@ -138,18 +179,91 @@ def iterations_needed(inlier_share: float, sample_size: int, confidence: float) 
     return max(1, math.ceil(math.log(1 - confidence) / math.log1p(-good)))
 
 
-def _polished(
-    model: RobustModel, best: Floats, errors: Floats, cost: float, limit: float
-) -> tuple[Floats, Floats, float]:
-    """Refit to the inliers as long as the cost falls."""
-    for _ in range(_LOCAL_STEPS):
-        try:
-            candidate = model.refit(best, errors <= limit)
-        except EstimationError:
-            break
-        new_errors = model.squared_errors(candidate[None])[0]
-        new_cost = float(np.minimum(new_errors, limit).sum())
-        if not new_cost < cost:
-            break
-        best, errors, cost = candidate, new_errors, new_cost
-    return best, errors, cost
+class _Search:
+    """The best hypothesis so far."""
+
+    def __init__(self, model: RobustModel, limit: float) -> None:
+        self.model = model
+        self.limit = limit
+        self.best: Floats | None = None
+        self.errors = np.zeros(0)
+        self.cost = math.inf
+
+    def _take(self, hypotheses: Floats, errors: Floats, costs: Floats) -> bool:
+        winner = int(np.argmin(costs))
+        if not costs[winner] < self.cost:
+            return False
+        self.best, self.errors, self.cost = hypotheses[winner], errors[winner], float(costs[winner])
+        return True
+
+
+class _TruncatedSearch(_Search):
+    """Each new best hypothesis is refitted to its inliers as long as the cost falls."""
+
+    draws_for_each = 1
+    largest_batch = 128
+
+    def improve(self, hypotheses: Floats) -> bool:
+        """Whether a hypothesis of the batch is better than all before."""
+        if not self._consider(hypotheses):
+            return False
+        for _ in range(_LOCAL_STEPS):
+            assert self.best is not None
+            try:
+                candidate = self.model.refit(self.best, self.errors <= self.limit)
+            except EstimationError:
+                break
+            if not self._consider(candidate[None]):
+                break
+        return True
+
+    def _consider(self, hypotheses: Floats) -> bool:
+        errors = self.model.squared_errors(hypotheses)
+        return self._take(hypotheses, errors, np.minimum(errors, self.limit).sum(axis=1))
+
+
+class _BiweightSearch(_Search):
+    """The most promising hypotheses of each batch are fitted by weights that narrow down."""
+
+    draws_for_each = 10
+    largest_batch = 2048
+
+    def __init__(self, model: RobustModel, limit: float) -> None:
+        super().__init__(model, limit)
+        self._reach = limit * _REACH**2
+
+    def improve(self, hypotheses: Floats) -> bool:
+        """Whether a hypothesis of the batch is better than all before."""
+        errors = self.model.squared_errors(hypotheses)
+        costs = self._costs(errors)
+        promising = np.argsort(costs, kind="stable")[:_PROMISING]
+        hypotheses, errors = hypotheses[promising], errors[promising]
+        better = self._take(hypotheses, errors, costs[promising])
+        for share in _ANNEALING:
+            hypotheses = self._refitted(hypotheses, (1 - np.minimum(errors / (self._reach * share**2), 1)) ** 2)
+            if not len(hypotheses):
+                break
+            errors = self.model.squared_errors(hypotheses)
+            better |= self._take(hypotheses, errors, self._costs(errors))
+        return better
+
+    def _costs(self, errors: Floats) -> Floats:
+        left = 1 - np.minimum(errors / self._reach, 1)
+        return np.asarray((1 - left * left * left).sum(axis=1), np.float64)
+
+    def _refitted(self, hypotheses: Floats, weights: Floats) -> Floats:
+        if isinstance(self.model, WeightedModel):
+            return self.model.refit_weighted(hypotheses, weights)
+        fitted = []
+        for hypothesis, inliers in zip(hypotheses, weights > 0.25, strict=True):
+            try:
+                fitted.append(self.model.refit(hypothesis, inliers))
+            except EstimationError:
+                continue
+        return np.array(fitted)
+
+
+_SEARCHES: dict[Score, Callable[[RobustModel, float], _TruncatedSearch | _BiweightSearch]] = {
+    Score.TRUNCATED: _TruncatedSearch,
+    Score.BIWEIGHT: _BiweightSearch,
+}

@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from enum import StrEnum
 
 import numpy as np
 
-from imgu_ros.errors import TooFewPoints
-from imgu_ros.types import Indices
+from imgu_ros.errors import ShapeError, TooFewPoints
+from imgu_ros.types import Choice, Indices
 
 
-class Sampler(StrEnum):
+class Sampler(Choice):
     """Ways to draw minimal samples."""
 
     UNIFORM = "uniform"
     PROSAC = "prosac"
 
 
-#: Samples in the first batch and in the largest: an easy problem should not pay for a hard one's batches.
+#: Samples in the first batch: an easy problem should not pay for a hard one's batches.
 FIRST_BATCH = 16
-LARGEST_BATCH = 128
 
 
-def draw_samples(sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """Draw samples of different points without end, in batches that double from FIRST_BATCH to LARGEST_BATCH.
+def draw_samples(
+    sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator, largest_batch: int = 128
+) -> Iterator[Indices]:
+    """Draw samples of different points without end, in batches that double from FIRST_BATCH to the largest.
 
     Parameters
     ----------
@@ -34,6 +34,7 @@ def draw_samples(sampler: Sampler | str, count: int, sample_size: int, rng: np.r
     count : number of points N
     sample_size : points in a sample m
     rng : source of the draws
+    largest_batch : most samples drawn at once
 
     Yields
     ------
@@ -43,27 +44,37 @@ def draw_samples(sampler: Sampler | str, count: int, sample_size: int, rng: np.r
     ------
     TooFewPoints
         If N < m.
+    ShapeError
+        If m < 1, or the sampler is unknown.
+
+    Examples
+    --------
+    >>> samples = next(draw_samples("prosac", 100, 4, np.random.default_rng(0)))
+    >>> sorted(samples[0].tolist())  # the best four first
+    [0, 1, 2, 3]
     """
+    if sample_size < 1 or largest_batch < 1:
+        raise ShapeError(f"sample_size, largest_batch: {sample_size}, {largest_batch}; need at least 1")
     if count < sample_size:
         raise TooFewPoints(f"points: {count}; need at least {sample_size}")
     if Sampler(sampler) is Sampler.UNIFORM:
-        return _uniform(count, sample_size, rng)
-    return _prosac(count, sample_size, rng)
+        return _uniform(count, sample_size, rng, largest_batch)
+    return _prosac(count, sample_size, rng, largest_batch)
 
 
-def _batches() -> Iterator[int]:
+def _batches(largest: int) -> Iterator[int]:
     size = FIRST_BATCH
     while True:
         yield size
-        size = min(2 * size, LARGEST_BATCH)
+        size = min(2 * size, largest)
 
 
-def _uniform(count: int, size: int, rng: np.random.Generator) -> Iterator[Indices]:
-    for batch in _batches():
+def _uniform(count: int, size: int, rng: np.random.Generator, largest: int) -> Iterator[Indices]:
+    for batch in _batches(largest):
         yield _distinct(np.full(batch, count), size, rng)
 
 
-def _prosac(count: int, size: int, rng: np.random.Generator, horizon: int = 200_000) -> Iterator[Indices]:
+def _prosac(count: int, size: int, rng: np.random.Generator, largest: int, horizon: int = 200_000) -> Iterator[Indices]:
     # T_n: expected number of the `horizon` uniform samples that come from the best n points only;
     # growth[n]: the number of draws after which the set grows beyond n.
     expected = float(horizon)
@@ -72,7 +83,7 @@ def _prosac(count: int, size: int, rng: np.random.Generator, horizon: int = 200_
     grown = 1
     n = size
     drawn = 0
-    for batch in _batches():
+    for batch in _batches(largest):
         pools = np.empty(batch, np.intp)
         newest = np.zeros(batch, bool)
         for b in range(batch):

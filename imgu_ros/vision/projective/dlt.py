@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.errors import DegenerateConfiguration, TooFewPoints
-from imgu_ros.types import Floats, Matrix3, Points, as_points
+from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
+from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.projective.transform import normalised_homography
 
 _RANK_TOLERANCE = 1e-9
+#: Larger numbers are no places in a picture, and their squares overflow.
+_LARGEST = 1e100
 
 
-def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: Floats | None = None) -> Matrix3:
+def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None = None) -> Matrix3:
     """Return H with dst ~ H src that minimises the (weighted) algebraic error of normalised points.
 
     Parameters
@@ -30,24 +32,27 @@ def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: Floats | None = None
         If there are fewer than four correspondences.
     DegenerateConfiguration
         If the points do not determine a homography (three of four collinear, coincident, ...).
+    ShapeError
+        If the weights are not one number >= 0 for each correspondence, or a number is not finite or too large.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    >>> H = homography_dlt(square, [[5, 5], [7, 5], [7, 7], [5, 7]])
+    >>> ((H / H[2, 2]).round(9) + 0.0).tolist()
+    [[2.0, 0.0, 5.0], [0.0, 2.0, 5.0], [0.0, 0.0, 1.0]]
     """
     src = as_points(src, "src")
     dst = as_points(dst, "dst")
     if len(src) != len(dst) or len(src) < 4:
         raise TooFewPoints(f"src, dst: {len(src)} and {len(dst)} points; need at least 4 pairs")
     T_src, T_dst = normalisation(src), normalisation(dst)
-    x, y = (src @ T_src[:2, :2].T + T_src[:2, 2]).T
-    u, v = (dst @ T_dst[:2, :2].T + T_dst[:2, 2]).T
-    A = np.zeros((len(src), 2, 9))
-    A[:, 0, 3:6] = -np.column_stack((x, y, np.ones_like(x)))
-    A[:, 0, 6:9] = -v[:, None] * A[:, 0, 3:6]
-    A[:, 1, 0:3] = -A[:, 0, 3:6]
-    A[:, 1, 6:9] = u[:, None] * A[:, 0, 3:6]
+    A = design_matrix(src @ T_src[:2, :2].T + T_src[:2, 2], dst @ T_dst[:2, :2].T + T_dst[:2, 2])
     if weights is not None:
-        A *= np.sqrt(weights)[:, None, None]
+        A *= np.sqrt(_checked_weights(weights, len(src)))[:, None, None]
     # The triangular factor has the same singular values and right vectors, and at most nine rows.
     _, singular, vectors = np.linalg.svd(np.linalg.qr(A.reshape(-1, 9), mode="r"), full_matrices=True)
-    if singular[7] <= _RANK_TOLERANCE * singular[0]:
+    if not singular[7] > _RANK_TOLERANCE * singular[0]:
         raise DegenerateConfiguration(
             f"src, dst: the {len(src)} correspondences do not determine a homography; need four with no three collinear"
         )
@@ -57,17 +62,68 @@ def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: Floats | None = None
     return normalised_homography(H)
 
 
-def normalisation(points: Points) -> Matrix3:
+def design_matrix(src: ArrayLike, dst: ArrayLike) -> Floats:
+    """Return each correspondence's two equations A h = 0 in the nine elements of H, row-major: (N, 2, 9).
+
+    They are the first two rows of dst x (H src) = 0 (HZ equation 4.3, with w' = 1), of points as they are:
+    `normalisation` first makes them well conditioned.
+
+    Raises
+    ------
+    ShapeError
+        If there are not as many points on both sides, or they are too large.
+
+    Examples
+    --------
+    >>> design_matrix([[2, 3]], [[5, 7]])[0].tolist()[1]
+    [2.0, 3.0, 1.0, 0.0, 0.0, 0.0, -10.0, -15.0, -5.0]
+    """
+    src, dst = as_points(src, "src"), as_points(dst, "dst")
+    if len(src) != len(dst):
+        raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")
+    _require_plain(src)
+    _require_plain(dst)
+    A = np.zeros((len(src), 2, 9))
+    A[:, 1, 0:2] = src
+    A[:, 1, 2] = 1
+    A[:, 0, 3:6] = -A[:, 1, 0:3]
+    A[:, 0, 6:9] = dst[:, 1:] * A[:, 1, 0:3]
+    A[:, 1, 6:9] = -dst[:, :1] * A[:, 1, 0:3]
+    return A
+
+
+def normalisation(points: ArrayLike) -> Matrix3:
     """Return the similarity that moves the centroid to 0 and the mean distance from it to sqrt 2 (HZ 4.4.4).
 
     Raises
     ------
     DegenerateConfiguration
         If all points coincide.
+    ShapeError
+        If there are none, or one is not finite or too large.
+
+    Examples
+    --------
+    >>> normalisation([[0, 0], [4, 0], [4, 4], [0, 4]]).tolist()
+    [[0.5, 0.0, -1.0], [0.0, 0.5, -1.0], [0.0, 0.0, 1.0]]
     """
+    points = as_points(points, minimum=1)
+    _require_plain(points)
     centroid = points.mean(axis=0)
     distance = float(np.hypot(*(points - centroid).T).mean())
     if not distance > 1e-12 * max(1.0, float(np.abs(centroid).max())):
         raise DegenerateConfiguration(f"points: all {len(points)} coincide; need points that span the plane")
     s = np.sqrt(2) / distance
     return np.array([[s, 0, -s * centroid[0]], [0, s, -s * centroid[1]], [0, 0, 1]])
+
+
+def _require_plain(points: Points) -> None:
+    if len(points) and max(points.max(), -points.min()) > _LARGEST:
+        raise ShapeError(f"points: up to {np.abs(points).max():g}; need less than {_LARGEST:g}")
+
+
+def _checked_weights(weights: ArrayLike, count: int) -> Floats:
+    weights = as_matrix(weights, (count,), "weights")
+    if weights.min() < 0 or weights.max() > _LARGEST:
+        raise ShapeError(f"weights: {weights.min():g} to {weights.max():g}; need 0 to {_LARGEST:g}")
+    return weights

@@ -12,7 +12,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Minimiser, minimise
-from imgu_ros.vision.estimation.ransac import ransac
+from imgu_ros.vision.estimation.ransac import Score, ransac
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.projective.dlt import homography_dlt, normalisation
 from imgu_ros.vision.projective.homography import HomographyEstimate
@@ -24,6 +24,7 @@ from imgu_ros.vision.projective.refine import (
     TransferProblem,
     tangent_basis,
 )
+from imgu_ros.vision.projective.reprojection import ReprojectionProblem
 from imgu_ros.vision.projective.transform import faces_camera, normalised_homography
 
 #: Inliers must reach this far across their main direction, as a share of their extent along it (both RMS):
@@ -38,6 +39,7 @@ def estimate_homography(
     *,
     threshold_px: float = 3.0,
     sampler: Sampler | str = Sampler.UNIFORM,
+    score: Score | str = Score.BIWEIGHT,
     confidence: float = 0.9999,
     max_iterations: int = 2000,
     min_inliers: int = 5,
@@ -52,6 +54,8 @@ def estimate_homography(
     rng : source of the draws
     threshold_px : largest distance in dst of an inlier
     sampler, confidence, max_iterations, min_inliers : see `ransac`
+    score : what the search minimises. `biweight`: of the distances in both images, for most inliers also where
+        matches are few, wrong or oblique; `truncated`: of the distance in dst, several times faster
     error, refine : what the refinement minimises, and how; refine None (or error algebraic): the linear fit stays
 
     Raises
@@ -68,19 +72,21 @@ def estimate_homography(
         raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")
     if len(src) < 4:
         raise TooFewPoints(f"src, dst: {len(src)} correspondences; need at least 4")
-    model = HomographyModel(src, dst)
+    score = Score(score)
+    model = HomographyModel(src, dst, symmetric=score is Score.BIWEIGHT)
     consensus = ransac(
         model,
         threshold_px,
         rng,
         sampler=sampler,
+        score=score,
         confidence=confidence,
         max_iterations=max_iterations,
         min_inliers=min_inliers,
         unit=" px",
     )
     H = model.denormalised(consensus.hypothesis)
-    inliers = _inliers(H, src, dst, threshold_px)
+    inliers = _inliers(H, src, dst, threshold_px) & consensus.inliers
     estimate = fit_homography(src[inliers], dst[inliers], error=error, refine=refine, start=H)
     inliers = _inliers(estimate.H, src, dst, threshold_px)
     return HomographyEstimate(estimate.H, estimate.covariance, inliers, estimate.rms_px, consensus.iterations)
@@ -131,7 +137,8 @@ def fit_homography(
             "H: the points are seen mirrored or across the horizon; need one side of the plane"
         )
     # No step at all still gives the residuals and their derivative, from which the covariance comes.
-    minimum = minimise(problem, scaled, refine or Minimiser.GAUSS_NEWTON, max_iterations=30 if refined else 0)
+    method = Minimiser(refine or Minimiser.GAUSS_NEWTON)
+    minimum = minimise(problem, scaled, method, max_iterations=_MOST_STEPS[method] if refined else 0)
     if not faces_camera(minimum.estimate, _mapped(T_src, src)):
         raise DegenerateConfiguration("H: the refined plane passes through the camera; need better spread points")
     noise = None if noise_px is None else noise_px * float(T_dst[0, 0])
@@ -191,9 +198,15 @@ def _unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3,
     return H, (np.eye(9) - np.outer(h, h)) @ np.kron(T_inverse, T_src.T) / norm
 
 
+_MOST_STEPS = {
+    Minimiser.STEEPEST_DESCENT: 300,
+    Minimiser.GAUSS_NEWTON: 30,
+    Minimiser.LEVENBERG_MARQUARDT: 30,
+}
 _PROBLEMS: dict[HomographyError, Callable[[Points, Points], LeastSquaresProblem]] = {
     HomographyError.ALGEBRAIC: TransferProblem,
     HomographyError.TRANSFER: TransferProblem,
     HomographyError.SYMMETRIC: SymmetricProblem,
     HomographyError.SAMPSON: SampsonProblem,
+    HomographyError.REPROJECTION: ReprojectionProblem,
 }

@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import numpy as np
+from numpy.typing import ArrayLike
 
-from imgu_ros.types import Floats, Matrix3, Points
+from imgu_ros.errors import DegenerateConfiguration
+from imgu_ros.types import Choice, Floats, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.estimation.nonlinear import Linearisation
 
 
-class HomographyError(StrEnum):
+class HomographyError(Choice):
     """What a fit minimises."""
 
     ALGEBRAIC = "algebraic"  #: the linear fit's own error
     TRANSFER = "transfer"  #: distance in the destination; right when the source points are exact
     SYMMETRIC = "symmetric"  #: distances in both images
     SAMPSON = "sampson"  #: first-order reprojection error; right when both sides are equally noisy
+    REPROJECTION = "reprojection"  #: distances to the nearest pair of points that H joins: the gold standard
 
 
-def tangent_basis(H: Matrix3) -> Floats:
+def tangent_basis(H: ArrayLike) -> Floats:
     """Return an orthonormal basis (9, 8) of the steps that leave the norm of H alone.
 
     It is the Householder reflection that takes H (row-major) to an axis, without that axis.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If H is zero.
     """
-    h = H.ravel() / np.linalg.norm(H)
+    h = _unit(as_matrix(H, (3, 3), "H"))
     v = h.copy()
     v[0] += 1.0 if h[0] >= 0 else -1.0
     reflection = np.eye(9) - 2 * np.outer(v, v) / (v @ v)
     return np.asarray(reflection[:, 1:], np.float64)
 
 
-class _HomographyProblem:
+class HomographyProblem:
     """What the problems share: corresponding points, (N, 2) each, and the step."""
 
     def __init__(self, src: Points, dst: Points) -> None:
@@ -43,7 +49,7 @@ class _HomographyProblem:
         return stepped(estimate, delta)
 
 
-class TransferProblem(_HomographyProblem):
+class TransferProblem(HomographyProblem):
     """Residuals in the destination image: (N, 2), px."""
 
     def residuals(self, estimate: Floats) -> Floats:
@@ -53,11 +59,11 @@ class TransferProblem(_HomographyProblem):
 
     def linearise(self, estimate: Floats) -> Linearisation:
         """Return residuals (N, 2) and their derivative by the eight tangent steps, (N, 2, 8)."""
-        by_h = _derivative_by_h(estimate, self._src)
+        by_h = derivative_by_h(estimate, self._src)
         return Linearisation(self.residuals(estimate), by_h @ tangent_basis(estimate))
 
 
-class SymmetricProblem(_HomographyProblem):
+class SymmetricProblem(HomographyProblem):
     """Residuals in the destination and, by the inverse, in the source: (N, 4), px."""
 
     def residuals(self, estimate: Floats) -> Floats:
@@ -70,14 +76,14 @@ class SymmetricProblem(_HomographyProblem):
         """Return residuals (N, 4) and their derivative by the eight tangent steps, (N, 4, 8)."""
         inverse = _inverse(estimate)
         basis = tangent_basis(estimate)
-        forward = _derivative_by_h(estimate, self._src) @ basis
+        forward = derivative_by_h(estimate, self._src) @ basis
         # d(H^-1) = -H^-1 dH H^-1, row-major.
-        by_inverse = _derivative_by_h(inverse, self._dst)
+        by_inverse = derivative_by_h(inverse, self._dst)
         backward = by_inverse @ (-np.kron(inverse, inverse.T)) @ basis
         return Linearisation(self.residuals(estimate), np.concatenate((forward, backward), axis=1))
 
 
-class SampsonProblem(_HomographyProblem):
+class SampsonProblem(HomographyProblem):
     """Whitened Sampson residuals, (N, 2), px: their squares sum to the Sampson error (HZ section 4.2.6)."""
 
     def residuals(self, estimate: Floats) -> Floats:
@@ -99,26 +105,60 @@ class SampsonProblem(_HomographyProblem):
         mapped = self._src @ estimate[:, :2].T + estimate[:, 2]
         xy = mapped[:, :2] / mapped[:, 2:]
         J = (estimate[None, :2, :2] - xy[:, :, None] * estimate[2, :2]) / mapped[:, 2][:, None, None]
-        return xy - self._dst, J, _derivative_by_h(estimate, self._src)
+        return xy - self._dst, J, derivative_by_h(estimate, self._src)
 
 
-def stepped(H: Floats, delta: Floats) -> Floats:
-    """Return H moved by `delta` (8,) along `tangent_basis` and brought back to unit norm."""
-    moved = H.ravel() / np.linalg.norm(H) + tangent_basis(H) @ delta
+def stepped(H: ArrayLike, delta: ArrayLike) -> Matrix3:
+    """Return H moved by `delta` (8,) along `tangent_basis` and brought back to unit norm.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If H is zero, or the step beyond floats.
+
+    Examples
+    --------
+    >>> bool(np.linalg.norm(stepped(np.eye(3), [0.1] * 8)).round(12) == 1)
+    True
+    """
+    H, delta = as_matrix(H, (3, 3), "H"), as_matrix(delta, (8,), "delta")
+    moved = _unit(H) + tangent_basis(H) @ (delta / max(1.0, float(np.abs(delta).max()) / 1e100))
     return np.asarray((moved / np.linalg.norm(moved)).reshape(3, 3), np.float64)
 
 
-def _derivative_by_h(H: Floats, points: Points) -> Floats:
-    """Return the derivative of the mapped points by the nine elements of H, row-major: (N, 2, 9)."""
-    homogeneous = np.column_stack((points, np.ones(len(points))))
-    mapped = homogeneous @ H.T
-    xy = mapped[:, :2] / mapped[:, 2:]
+def derivative_by_h(H: ArrayLike, points: ArrayLike) -> Floats:
+    """Return the derivative of the mapped points by the nine elements of H, row-major: (N, 2, 9).
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a point is mapped to infinity.
+
+    Examples
+    --------
+    >>> derivative_by_h(np.eye(3), [[2, 3]])[0].tolist()[0]
+    [2.0, 3.0, 1.0, 0.0, 0.0, 0.0, -4.0, -6.0, -2.0]
+    """
+    H, points = as_matrix(H, (3, 3), "H"), as_points(points)
     by_h = np.zeros((len(points), 2, 9))
-    scaled = homogeneous / mapped[:, 2:]
-    by_h[:, 0, 0:3] = scaled
-    by_h[:, 1, 3:6] = scaled
-    by_h[:, :, 6:9] = -xy[:, :, None] * scaled[:, None, :]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        mapped = points @ H[:, :2].T + H[:, 2]
+        xy = mapped[:, :2] / mapped[:, 2:]
+        by_h[:, 0, 0:2] = points / mapped[:, 2:]
+        by_h[:, 0, 2] = 1 / mapped[:, 2]
+        by_h[:, 1, 3:6] = by_h[:, 0, 0:3]
+        by_h[:, :, 6:9] = -xy[:, :, None] * by_h[:, 0, None, 0:3]
+    if not np.isfinite(by_h).all():
+        raise DegenerateConfiguration("points: one is mapped to infinity by H; need points off the vanishing line")
     return by_h
+
+
+def _unit(H: Matrix3) -> Floats:
+    largest = float(np.abs(H).max())
+    if largest == 0:
+        raise DegenerateConfiguration("H: all zero; need a homography")
+    h = H.ravel() / largest
+    return np.asarray(h / np.linalg.norm(h), np.float64)
 
 
 def _whitening_factor(J: Floats) -> Floats:

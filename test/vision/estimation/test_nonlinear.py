@@ -7,7 +7,8 @@ from scipy.optimize import least_squares
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Floats
-from imgu_ros.vision.estimation.nonlinear import Linearisation, huber, minimise
+from imgu_ros.vision.estimation.losses import huber
+from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 
 
 class Decay:
