@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -70,25 +71,25 @@ def padded(
         if not 0 <= margin <= _MOST_PX:
             raise ShapeError(f"{name}: {margin!r}; need 0 to {_MOST_PX} px")
     border = Border(border)
-    values = border_values(image, border, value)
+    values = border_values(image.dtype, border, value)
     x, y = int(margin_x), int(margin_y)
     return cv2.copyMakeBorder(image, y, y, x, x, CV_BORDERS[border], value=values)
 
 
-def border_values(image: Image, border: Border, value: float) -> tuple[float, ...]:
+def border_values(dtype: np.dtype[Any], border: Border, value: float) -> tuple[float, ...]:
     """Return the value outside a picture for each of four channels, as OpenCV takes it.
 
     Raises
     ------
     ShapeError
-        If the border is constant and its value is not one that a pixel of the image can have.
+        If the border is constant and its value is not one that a pixel of this data type can have.
     """
     if border is not Border.CONSTANT:
         return (0.0, 0.0, 0.0, 0.0)
-    top = float(np.iinfo(image.dtype).max) if image.dtype.kind == "u" else float(np.finfo(np.float32).max)
-    low = 0.0 if image.dtype.kind == "u" else -top
+    top = float(np.iinfo(dtype).max) if dtype.kind == "u" else float(np.finfo(np.float32).max)
+    low = 0.0 if dtype.kind == "u" else -top
     if not low <= value <= top:
-        raise ShapeError(f"value: {value!r}; need {low:g} to {top:g} in {image.dtype}")
+        raise ShapeError(f"value: {value!r}; need {low:g} to {top:g} in {dtype}")
     return (float(value),) * 4
 
 

@@ -148,7 +148,7 @@ def _separable(image: Image, column: Floats, row: Floats, border: Border, value:
     source = image if image.dtype != np.uint16 else image.astype(np.float32)
     flipped = np.ascontiguousarray(row[::-1]), np.ascontiguousarray(column[::-1])
     x, y = len(row) // 2, len(column) // 2
-    constant = border_values(image, border, value)[0]
+    constant = border_values(image.dtype, border, value)[0]
     if border is Border.PERIODIC or (border is Border.CONSTANT and constant != 0):
         wide = padded(source, x, y, border, value)
         filtered = cv2.sepFilter2D(wide, cv2.CV_32F, *flipped)

@@ -131,7 +131,7 @@ def canny(image: Image, low: float, high: float, sigma: float = 1.0) -> Mask:
         raise ShapeError(f"sigma: {sigma!r}; need 0 to 100 px")
     picture = np.clip(image, 0, 1) if image.dtype.kind == "f" else image.astype(np.float32)
     # A slope is at most half the range for each px, along x and along y.
-    steps = _STEPS / full_scale(image)
+    steps = _STEPS / full_scale(image.dtype)
     slope = gradient(smooth(picture, sigma))
     dx, dy = (np.rint(steps * d).astype(np.int16) for d in (slope.dx, slope.dy))
     thresholds = [min(steps * t, 32767.0) for t in (low, high)]

@@ -89,7 +89,7 @@ def equalised(image: Image) -> Image:
     if lowest == image.size:
         return image.copy()
     cumulative = np.maximum(np.cumsum(counts) - lowest, 0)
-    table = np.rint(full_scale(image) * cumulative / (image.size - lowest)).astype(image.dtype)
+    table = np.rint(full_scale(image.dtype) * cumulative / (image.size - lowest)).astype(image.dtype)
     return cv2.LUT(image, table) if image.dtype == np.uint8 else table[image]
 
 

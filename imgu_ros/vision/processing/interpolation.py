@@ -16,8 +16,8 @@ from imgu_ros.vision.processing.points import require_range
 #: OpenCV's limit for one side of a remapped picture.
 MOST_SIDE_PX = 32766
 _MOST_PIXELS = 2**28
-#: Slope of Keys' kernel at distance 1, as OpenCV has it.
-_KEYS = -0.75
+#: Slope of Keys' kernel at distance 1 that keeps polynomials of degree 2; OpenCV's -0.75 keeps not even a ramp.
+_KEYS = -0.5
 
 
 class Interpolation(Choice):
@@ -93,7 +93,7 @@ def sampled(
 
     Notes
     -----
-    Source: notes 2.3.2; Keys 1981 with a = -0.75, which is OpenCV's.
+    Source: notes 2.3.2; Keys 1981 with a = -0.5: exact on polynomials of degree 2 (OpenCV's warps have a = -0.75).
 
     Examples
     --------
@@ -109,7 +109,7 @@ def sampled(
     interpolation, border = Interpolation(interpolation), Border(border)
     if interpolation is Interpolation.AREA:
         raise ShapeError("interpolation: 'area'; need nearest, linear or cubic: a point has no area")
-    constant = border_values(image, border, value)[0]
+    constant = border_values(image.dtype, border, value)[0]
     before = np.floor(points + 0.5 if interpolation is Interpolation.NEAREST else points)
     weights_x, weights_y = (_weights(axis, interpolation) for axis in (points - before).T)
     first = before.astype(np.int64) + _FIRST[interpolation]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ def adjust(image: Image, contrast: float = 1.0, brightness: float = 0.0) -> Imag
     image = as_image(image, channels=(1, 3))
     if not abs(contrast) <= _LARGEST_GAIN:
         raise ShapeError(f"contrast: {contrast!r}; need -1e6 to 1e6")
-    if not abs(brightness) <= full_scale(image) * _LARGEST_GAIN:
+    if not abs(brightness) <= full_scale(image.dtype) * _LARGEST_GAIN:
         raise ShapeError(f"brightness: {brightness!r}; need a number up to 1e6 times the image's range")
     return _mapped(image, lambda values: contrast * values + brightness)
 
@@ -73,7 +74,7 @@ def gamma_corrected(image: Image, exponent: float) -> Image:
     image = as_image(image, channels=(1, 3))
     if not 0.01 <= exponent <= 100:
         raise ShapeError(f"exponent: {exponent!r}; need 0.01 to 100")
-    full = full_scale(image)
+    full = full_scale(image.dtype)
     return _mapped(image, lambda values: full * (np.clip(values, 0, full) / full) ** exponent)
 
 
@@ -111,9 +112,9 @@ def grey_from_rgb(image: Image, weights: ArrayLike = REC601) -> Image:
     return cv2.transform(image, weights[None])
 
 
-def full_scale(image: Image) -> float:
+def full_scale(dtype: np.dtype[Any]) -> float:
     """Return the value of white: 255, 65535, or 1 for floats."""
-    return float(np.iinfo(image.dtype).max) if image.dtype.kind == "u" else 1.0
+    return float(np.iinfo(dtype).max) if dtype.kind == "u" else 1.0
 
 
 def require_range(image: Image, gain: float) -> None:
@@ -122,8 +123,10 @@ def require_range(image: Image, gain: float) -> None:
     Raises
     ------
     ShapeError
-        If they would.
+        If they would, or it is no image.
     """
+    if not isinstance(image, np.ndarray) or image.size == 0:
+        raise ShapeError(f"image: {getattr(image, 'shape', type(image).__name__)}; need at least one pixel")
     if image.dtype.kind != "f":
         return
     largest = max(abs(float(image.max())), abs(float(image.min())))
@@ -134,7 +137,7 @@ def require_range(image: Image, gain: float) -> None:
 
 def _mapped(image: Image, function: Callable[[Floats], Floats]) -> Image:
     """Apply a function of float64 values, clamp, and cast back."""
-    full = full_scale(image)
+    full = full_scale(image.dtype)
     if image.dtype.kind == "f":
         return np.clip(function(image.astype(np.float64)), 0, 1).astype(np.float32)
     table = np.rint(np.clip(function(np.arange(full + 1)), 0, full)).astype(image.dtype)

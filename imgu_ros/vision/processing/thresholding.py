@@ -45,9 +45,10 @@ def thresholded(image: Image, value: float) -> Image:
     image = as_image(image)
     if not math.isfinite(value):
         raise ShapeError(f"value: {value!r}; need a finite number")
-    full = full_scale(image)
+    full = full_scale(image.dtype)
     if image.dtype.kind == "f":
-        return (image >= value).astype(np.float32)
+        largest = float(np.finfo(np.float32).max)
+        return (image >= min(max(value, -largest), largest)).astype(np.float32)
     # OpenCV compares by >, and refuses numbers far outside.
     above = min(max(math.ceil(value) - 1, -1), int(full))
     return cv2.threshold(image, above, full, cv2.THRESH_BINARY)[1]
@@ -82,7 +83,7 @@ def otsu_threshold(image: Image) -> float:
     106.5
     """
     image = as_image(image)
-    bins = _FLOAT_BINS if image.dtype.kind == "f" else int(full_scale(image)) + 1
+    bins = _FLOAT_BINS if image.dtype.kind == "f" else int(full_scale(image.dtype)) + 1
     counts = histogram(image, bins).astype(np.float64)
     below = np.cumsum(counts)[:-1]
     above = image.size - below

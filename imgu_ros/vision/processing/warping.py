@@ -89,7 +89,7 @@ def warped(
         out_size,
         flags=_CV_INTERPOLATION[interpolation] | cv2.WARP_INVERSE_MAP,
         borderMode=CV_BORDERS[border],
-        borderValue=border_values(image, border, value),
+        borderValue=border_values(image.dtype, border, value),
     )
 
 

@@ -70,7 +70,7 @@ def smooth(
     if not 0 <= sigma <= _MAX_SIGMA_PX:
         raise ShapeError(f"sigma: {sigma!r}; need 0 to {_MAX_SIGMA_PX} px")
     function, border = _KERNELS[GaussianKernel(kernel)], Border(border)
-    border_values(image, border, value)
+    border_values(image.dtype, border, value)
     require_range(image, 4.0)
     return image if sigma == 0 else function(image, sigma, border, value)
 

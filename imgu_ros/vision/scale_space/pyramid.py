@@ -144,7 +144,7 @@ def _band(image: Image) -> Image:
     if image.dtype.kind == "f":
         return np.clip(image - low + np.float32(0.5), 0, 1)
     # One pass, saturating.
-    return cv2.addWeighted(image, 1.0, low, -1.0, (full_scale(image) + 1) / 2)
+    return cv2.addWeighted(image, 1.0, low, -1.0, (full_scale(image.dtype) + 1) / 2)
 
 
 def reduced(image: Image, factor: float = 2.0, kernel: GaussianKernel | str = GaussianKernel.SAMPLED) -> Image:

@@ -80,7 +80,7 @@ def smooth_recursively(
     if not SIGMA_RANGE_PX[0] <= sigma <= SIGMA_RANGE_PX[1]:
         raise ShapeError(f"sigma: {sigma!r}; need {SIGMA_RANGE_PX[0]:g} to {SIGMA_RANGE_PX[1]:g} px")
     border = Border(border)
-    full = full_scale(image) if image.dtype.kind == "u" else float(np.finfo(np.float32).max) / 16
+    full = full_scale(image.dtype) if image.dtype.kind == "u" else float(np.finfo(np.float32).max) / 16
     if border is Border.CONSTANT and not (0 if image.dtype.kind == "u" else -full) <= value <= full:
         raise ShapeError(f"value: {value!r}; need one that a pixel of {image.dtype} can have")
     require_range(image, 16.0 * sigma + 64.0)
