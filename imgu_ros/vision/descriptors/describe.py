@@ -59,7 +59,17 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
     Raises
     ------
     ShapeError
-        If a keypoint names a level that the pyramid lacks.
+        If a keypoint names a level that the pyramid lacks, or their arrays do not fit each other or are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from imgu_ros.vision.scale_space.pyramid import build_pyramid
+    >>> pyramid = build_pyramid(np.random.default_rng(0).integers(0, 256, (90, 90), np.uint8), levels=1)
+    >>> one = np.ones(1)
+    >>> point = Keypoints(np.array([[45.0, 45.0]]), 2 * one, 0 * one, one, np.zeros(1, np.int32))
+    >>> describe(pyramid, point, "rootsift").descriptors.shape
+    (1, 128)
     """
     kind = DescriptorKind(kind)
     keypoints = _checked(keypoints)

@@ -19,6 +19,19 @@ def describe_orb(image: Image, corners: Corners) -> Described:
     ----------
     image : (H, W) uint8
     corners : those nearer to the border than half a patch are left out
+
+    Raises
+    ------
+    ShapeError
+        If the picture or a corner is not of that kind.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.random.default_rng(0).integers(0, 256, (60, 60), np.uint8)
+    >>> one, xy = np.ones(2), np.array([[30.0, 30.0], [5.0, 30.0]])
+    >>> describe_orb(picture, Corners(xy, one, 0 * one, one)).index.tolist()
+    [0]
     """
     image = as_image(image, dtypes=(np.uint8,))
     corners = checked_corners(corners)

@@ -1,0 +1,31 @@
+"""Which descriptors of two sets belong together.
+
+`match` finds the nearest row of one set for each of another, exactly, by comparing all. Whatever is ambiguous is
+dropped: by the **ratio test** (the second nearest *at another place* must be clearly farther) and the **mutual check**
+(each is the other's nearest). What is left comes least ambiguous first, as PROSAC wants it. A set that is matched to
+again and again, as a target's, is prepared once: `prepare_gallery`, `match_to_gallery`.
+
+`matching.metric` says what *near* means. Which metrics make sense is told by `metrics_of`, and checked by
+`metric_for`; `auto` is the first one:
+
+| descriptor | metrics | free of |
+|---|---|---|
+| `orb`, `brief` | `hamming`: differing bits | |
+| `sift`, `rootsift` | `euclidean`; `cosine`: 1 - the cosine of their angle | `cosine`: gain |
+| `patch` | `ncc`: 1 - normalised cross-correlation | offset and gain |
+| | `zmssd`: squared differences less the means | offset |
+| | `ssd`: squared differences | |
+
+`ssd` and `zmssd` are squares: a ratio of 0.72 means for them what 0.85 means for distances. Single patches are compared
+by `ssd`, `zmssd` and `ncc` of `matching.patches`.
+
+`match_guided` seeks matches only near where a homography predicts them, with few rivals and thus a looser ratio;
+`guided_homography` repeats that and the fit until the matches stay the same. In the chain `matching.guided` does so
+after the first homography: half as many matches again and more, for targets with repeating patterns; the alignment of
+`refinement.enabled` gains accuracy at less cost.
+
+Hamming distances come from one product of matrices that compares two rows at once, exactly: 1000 descriptors of a
+frame with 3000 of a target in about 10 ms on two cores.
+
+Parameters: `matching.metric`, `matching.ratio`, `matching.mutual`, `matching.guided`. Notes: 5.1, 5.3, 5.4.2, 7.5.
+"""

@@ -44,8 +44,16 @@ def match(
     Raises
     ------
     ShapeError
-        If rows, data types or metric do not fit each other, a row is not finite, or `ratio` is not
-        positive.
+        If rows, data types or metric do not fit each other, a row is not finite, or `ratio` is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> src = np.array([[0, 1], [5, 5], [9, 8]], np.float32)
+    >>> dst = np.array([[9, 9], [0, 0]], np.float32)
+    >>> found = match(src, dst, ratio=0.8)
+    >>> found.index_src.tolist(), found.index_dst.tolist(), found.distance.tolist()
+    ([0, 2], [1, 0], [1.0, 1.0])
     """
     checked_rows(src, "src")
     return match_to_gallery(src, prepare_gallery(dst, metric, dst_xy, same_place_px), ratio, mutual)
@@ -58,6 +66,14 @@ def match_to_gallery(src: Image, gallery: Gallery, ratio: float = 0.85, mutual: 
     ------
     ShapeError
         If the rows do not fit the gallery's, one is not finite, or `ratio` is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> target = np.random.default_rng(0).integers(0, 256, (100, 32), np.uint8)
+    >>> gallery = prepare_gallery(target)
+    >>> match_to_gallery(target[40:43], gallery).index_dst.tolist()
+    [40, 41, 42]
     """
     require_comparable(src, gallery.descriptors.shape[1], gallery.descriptors.dtype.type)
     if not ratio > 0:
