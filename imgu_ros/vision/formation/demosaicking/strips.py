@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -66,12 +66,19 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
     bottom, right = rim + (height + row) % 2, rim + (width + column) % 2
     extended = cv2.copyMakeBorder(raw, rim + row, bottom, rim + column, right, cv2.BORDER_REFLECT_101)
     out = np.empty((height, width, 3), raw.dtype)
-    rows, columns = extended.shape[0] // 2 - rim, extended.shape[1] // 2
-    count = -(-rows // max(2 * rim, _QUADS // columns))
+    rows, columns = extended.shape[0] // 2 - rim, extended.shape[1] // 2 - rim
+    whole = (2 * rows, 2 * columns) == raw.shape
+    count = -(-rows // max(2 * rim, _QUADS // (columns + rim)))
 
     def work(index: int) -> None:
         first, last = rows * index // count, rows * (index + 1) // count
-        colors = _developed(extended[2 * first : 2 * (last + rim)], recipe)
+        strip = extended[2 * first : 2 * (last + rim)]
+        if whole:
+            _develop(strip, recipe, out[2 * first : 2 * last])
+            return
+        # The first or the last row or column of quads is cut by the picture's edge.
+        colors = np.empty((2 * (last - first), 2 * columns, 3), raw.dtype)
+        _develop(strip, recipe, colors)
         begin, end = max(0, 2 * first - row), min(height, 2 * last - row)
         skipped = begin + row - 2 * first
         out[begin:end] = colors[skipped : skipped + end - begin, column : column + width]
@@ -86,57 +93,51 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
     return out
 
 
-def _developed(strip: Image, recipe: Recipe) -> Image:
-    """Return the colours of a strip that starts at a red site, without its rim."""
+def _develop(strip: Image, recipe: Recipe, out: Image) -> None:
+    """Write the colours of a strip that starts at a red site, without its rim, to `out`."""
     height, width = strip.shape[0] // 2, strip.shape[1] // 2
     dtype = np.dtype(np.int16 if recipe.integer and strip.dtype == np.uint8 else np.float32)
+    planes = [plane for row in (0, 1) for plane in cv2.split(strip[row::2].reshape(height, width, 2))]
     fields = []
-    for row in (0, 1):
-        for plane in cv2.split(strip[row::2].reshape(height, width, 2)):
-            fields.append(Field(height, width, recipe.shift, dtype))
-            np.copyto(fields[-1].at(), plane.reshape(-1))
-    top = float(np.iinfo(strip.dtype).max)
+    for plane in planes:
+        fields.append(Field(height, width, recipe.shift, dtype))
+        np.copyto(fields[-1].at(), plane.reshape(-1))
     red, green_by_red, green_by_blue, blue = fields
-    quads = Quads(red, green_by_red, green_by_blue, blue, height, width, recipe.shift, dtype, top)
-    found = recipe.missing(quads)
-    rim = 2 * recipe.reach
-    return _interleaved(strip[rim:-rim, rim:-rim], found, recipe)
+    top = float(np.iinfo(strip.dtype).max)
+    found = recipe.missing(Quads(red, green_by_red, green_by_blue, blue, height, width, recipe.shift, dtype, top))
+    _interleave(planes, found, recipe, out)
 
 
-def _interleaved(measured: Image, found: Missing, recipe: Recipe) -> Image:
-    height, width = measured.shape[0] // 2, measured.shape[1] // 2
+def _interleave(planes: Sequence[Image], found: Missing, recipe: Recipe, out: Image) -> None:
+    rim = recipe.reach
+    red, green_by_red, green_by_blue, blue = (plane[rim:-rim, rim:-rim] for plane in planes)
 
-    def plane(field: Field) -> Image:
-        return _rounded(field.inside(recipe.reach), recipe.scale, measured.dtype)
+    def row(*pair: Image | Field) -> Image:
+        even, odd = (_rounded(p, recipe, out.dtype) if isinstance(p, Field) else p for p in pair)
+        return cv2.merge([even, odd]).reshape(len(even), -1)
 
-    def row(even: Image, odd: Image) -> Image:
-        return cv2.merge([even, odd]).reshape(height, 2 * width)
-
-    red, green_by_red = cv2.split(measured[0::2].reshape(height, width, 2))
-    green_by_blue, blue = cv2.split(measured[1::2].reshape(height, width, 2))
-    out = np.empty((2 * height, 2 * width, 3), measured.dtype)
     upper = (
-        row(red, plane(found.red_by_red)),
-        row(plane(found.green_at_red), green_by_red),
-        row(plane(found.blue_at_red), plane(found.blue_by_red)),
-    )
-    lower = (
-        row(plane(found.red_by_blue), plane(found.red_at_blue)),
-        row(green_by_blue, plane(found.green_at_blue)),
-        row(plane(found.blue_by_blue), blue),
+        row(red, found.red_by_red),
+        row(found.green_at_red, green_by_red),
+        row(found.blue_at_red, found.blue_by_red),
     )
     cv2.merge(upper, dst=out[0::2])
+    lower = (
+        row(found.red_by_blue, found.red_at_blue),
+        row(green_by_blue, found.green_at_blue),
+        row(found.blue_by_blue, blue),
+    )
     cv2.merge(lower, dst=out[1::2])
-    return out
 
 
-def _rounded(values: Image, scale: int, dtype: np.dtype[np.generic]) -> Image:
-    """Return values / scale, rounded and clamped to the range of the data type."""
+def _rounded(field: Field, recipe: Recipe, dtype: np.dtype[np.generic]) -> Image:
+    """Return the values without their scale and rim, rounded and clamped to the range of the data type."""
+    values = field.at()
     if values.dtype == np.int16:
-        values = values + np.int16(scale // 2)
-        values >>= scale.bit_length() - 1
+        values += np.int16(recipe.scale // 2)
+        values >>= recipe.scale.bit_length() - 1
         np.clip(values, 0, 255, out=values)
-        return values.astype(np.uint8)
+        return field.inside(recipe.reach).astype(np.uint8)
     # Scales, rounds and saturates in one pass.
-    depth = cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
-    return cv2.addWeighted(values, 1 / scale, values, 0.0, 0.0, dtype=depth)
+    inside, depth = field.inside(recipe.reach), cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
+    return cv2.addWeighted(inside, 1 / recipe.scale, inside, 0.0, 0.0, dtype=depth)
