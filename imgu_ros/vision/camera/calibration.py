@@ -26,6 +26,8 @@ from imgu_ros.vision.projective.estimate import require_spread
 FEWEST_VIEWS = 3
 #: Focal lengths that are tried, as shares of the picture's longer side: 127 to 13 degrees of view.
 _FOCAL_SHARES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
+#: Views from which the start's focal length is chosen.
+_TRIED_VIEWS = 6
 #: A view is an outlier when its residual is this many times the median view's, and worth more than a trifle.
 _OUTLIER_RATIO = 3.0
 _OUTLIER_PX = 0.1
@@ -193,28 +195,32 @@ def _checked(board_xy: ArrayLike, views: Sequence[ArrayLike], width: int, height
 
 
 def _start(board_xy: Points, pixels: list[Points], size: tuple[int, int], model: DistortionModel) -> BundleState:
-    """Return the focal length, among some, that explains the views best without distortion, and the poses with it.
+    """Return the focal length, among some, that explains a few views best without distortion, and all poses with it.
 
     Zhang's closed form fails when the views are few, frontal or strongly distorted; this does not.
     """
+    tried = pixels[:: max(1, len(pixels) // _TRIED_VIEWS)][:_TRIED_VIEWS]
     best, best_cost = None, math.inf
     for share in _FOCAL_SHARES:
         intrinsics = np.zeros(4 + COEFFICIENTS[model])
         intrinsics[:2] = share * max(size)
         intrinsics[2:4] = (size[0] - 1) / 2, (size[1] - 1) / 2
         camera = _camera(intrinsics, *size, model)
-        poses, cost = [], 0.0
-        for view in pixels:
-            pose, error = _best_pose(board_xy, view, camera)
-            if pose is None:
-                break
-            poses.append(pose)
-            cost += error
-        if len(poses) == len(pixels) and cost < best_cost:
-            best, best_cost = BundleState(intrinsics, tuple(poses)), cost
+        cost = sum(_best_pose(board_xy, view, camera)[1] for view in tried)
+        if cost < best_cost:
+            best, best_cost = intrinsics, cost
     if best is None:
-        raise DegenerateConfiguration("views: no focal length makes all of them views of a plane; need views of one")
-    return best
+        raise DegenerateConfiguration("views: no focal length makes them views of a plane; need views of one board")
+    camera = _camera(best, *size, model)
+    poses = []
+    for index, view in enumerate(pixels):
+        pose, _ = _best_pose(board_xy, view, camera)
+        if pose is None:
+            raise DegenerateConfiguration(
+                f"views[{index}]: no pose in front of the camera explains it; need a view of the board"
+            )
+        poses.append(pose)
+    return BundleState(best, tuple(poses))
 
 
 def _best_pose(board_xy: Points, view: Points, camera: Camera) -> tuple[RigidTransform | None, float]:

@@ -64,9 +64,11 @@ def rigid_transforms(numbers: ArrayLike, name: str = "transforms") -> tuple[Rigi
     """
     try:
         raw = np.asarray(numbers)
-    except ValueError:
-        raise ShapeError(f"{name}: ragged; need seven numbers a transform: x y z qx qy qz qw") from None
-    values = as_matrix(raw, raw.shape, name).ravel()
+        values = raw.astype(np.float64).ravel() if raw.dtype.kind in "biufO" else None
+    except (TypeError, ValueError, OverflowError):
+        values = None
+    if values is None:
+        raise ShapeError(f"{name}: {type(numbers).__name__}; need seven numbers a transform: x y z qx qy qz qw")
     if values.size % 7:
         raise ShapeError(f"{name}: {values.size} numbers; need seven a transform: x y z qx qy qz qw")
     return tuple(rigid_transform(row, f"{name}[{i}]") for i, row in enumerate(values.reshape(-1, 7)))

@@ -1,0 +1,133 @@
+"""Lens distortion: the derivative by the coefficients, the fold, and the inverse up to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.vision.camera.distortion import (
+    COEFFICIENT_NAMES,
+    COEFFICIENTS,
+    DistortionModel,
+    bend,
+    bend_with_derivatives,
+    fold_radius,
+    unbend,
+)
+from imgu_ros.vision.camera.intrinsics import make_camera
+
+LENSES = {
+    "plumb_bob": (-0.26, 0.09, 0.0008, -0.0005, -0.01),
+    "rational_polynomial": (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01),
+    "equidistant": (-0.03, 0.008, -0.004, 0.001),
+}
+#: Focal length and lens: strong ones, of 70 to 120 degrees, barrel, pincushion and tangential.
+STRONG = [
+    (900, "plumb_bob", (-0.35, 0.14, 0.004, -0.003, -0.025)),
+    (620, "plumb_bob", (0.5, 0.2, -0.003, 0.004, 0.1)),
+    (750, "plumb_bob", (-0.28, 0.07, 0.01, 0.01, 0.0)),
+    (620, "rational_polynomial", (5.2, 2.6, 0.0003, 0.0002, 0.11, 5.5, 4.4, 0.7)),
+    (620, "equidistant", (0.05, -0.02, 0.01, -0.003)),
+    (900, "equidistant", (-0.2, 0.02, 0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_derivatives_by_finite_differences(model: str) -> None:
+    xy = np.concatenate((np.random.default_rng(0).uniform(-0.7, 0.7, (40, 2)), [[0, 0], [1e-9, 0]]))
+    k = np.array(LENSES[model])
+    bent = bend_with_derivatives(model, k, xy)
+    assert_allclose(bent.xy, bend(model, k, xy)[0])
+    for index in range(len(k)):
+        step = np.eye(len(k))[index] * 1e-6
+        numeric = (bend(model, k + step, xy)[0] - bend(model, k - step, xy)[0]) / 2e-6
+        assert_allclose(bent.by_coefficients[:, :, index], numeric, atol=1e-9)
+    for axis in range(2):
+        step = np.eye(2)[axis] * 1e-6
+        numeric = (bend(model, k, xy + step)[0] - bend(model, k, xy - step)[0]) / 2e-6
+        assert_allclose(bent.by_xy[:, :, axis], numeric, atol=1e-8)
+
+
+@pytest.mark.parametrize(("focal", "model", "k"), STRONG)
+def test_strong_lenses_are_inverted_to_a_billionth_of_a_pixel_up_to_the_corners(
+    focal: float, model: str, k: tuple[float, ...]
+) -> None:
+    camera = make_camera([[focal, 0, 639.5], [0, focal, 359.5], [0, 0, 1]], k, model, 1280, 720)
+    x, y = np.meshgrid(np.linspace(0, 1279, 33), np.linspace(0, 719, 19))
+    pixels = np.column_stack((x.ravel(), y.ravel()))
+    normalized, valid = camera.undistort(pixels)
+    assert valid.all()
+    assert_allclose(camera.distort(normalized), pixels, atol=1e-9, rtol=0)
+    assert np.hypot(*normalized.T).max() < fold_radius(model, k)
+
+
+@pytest.mark.parametrize("model", LENSES)
+@given(seed=st.integers(0, 10_000))
+def test_every_ray_within_the_fold_comes_back(model: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    k = np.array(LENSES[model]) * rng.uniform(-1.5, 1.5, COEFFICIENTS[DistortionModel(model)])
+    if model != "equidistant":
+        k[2:4] = 0  # the fold is a circle
+    fold = min(fold_radius(model, k), 3.0)
+    angle, r = rng.uniform(-np.pi, np.pi, 50), rng.uniform(0, 0.97 * fold, 50)
+    xy = np.column_stack((r * np.cos(angle), r * np.sin(angle)))
+    back, valid = unbend(model, k, bend(model, k, xy)[0])
+    assert valid.all()
+    assert_allclose(back, xy, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_fold_is_where_the_radius_stops_growing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for model, size in (("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)):
+        k = rng.uniform(-0.4, 0.4, size)
+        if model != "equidistant":
+            k[2:4] = 0
+        fold = fold_radius(model, k)
+        theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 40_000)
+        bent = bend(model, k, np.column_stack((np.tan(theta), np.zeros_like(theta))))[0][:, 0]
+        falling = np.flatnonzero(np.diff(bent) <= 0)
+        if falling.size:
+            assert np.arctan(fold) == pytest.approx(theta[falling[0]], abs=1e-4)
+        else:
+            assert fold > np.tan(theta[-1])
+
+
+def test_a_root_beyond_the_fold_is_no_inverse() -> None:
+    # r (1 - 0.6 r^2 + 0.15 r^4) grows, falls, and grows again; what lies above its first top is reached far out only.
+    k = (-0.6, 0.15, 0, 0, 0)
+    fold = fold_radius("plumb_bob", k)
+    top = bend("plumb_bob", k, [[fold, 0.0]])[0][0, 0]
+    _, valid = unbend("plumb_bob", k, [[top * 0.99, 0], [top * 1.01, 0], [0, -top * 1.2], [3.0, 0]])
+    assert valid.tolist() == [True, False, False, False]
+
+
+def test_newton_that_leaves_the_range_is_helped() -> None:
+    # From the bent point itself Newton would start beyond the fold.
+    k = (-0.9, 0.0, 0.0, 0.0, 0.0)
+    r = np.linspace(0.01, 0.99, 60) * fold_radius("plumb_bob", k)
+    bent = bend("plumb_bob", k, np.column_stack((r, np.zeros_like(r))))[0]
+    back, valid = unbend("plumb_bob", k, bent)
+    assert valid.all()
+    assert_allclose(back[:, 0], r, atol=1e-9)
+    # A pincushion so strong that the point lies far outside.
+    k = (8.0, 4.0, 0.0, 0.0, 0.0)
+    xy = np.array([[0.9, 0.3], [-1.2, 0.1]])
+    back, valid = unbend("plumb_bob", k, bend("plumb_bob", k, xy)[0])
+    assert valid.all()
+    assert_allclose(back, xy, atol=1e-9)
+
+
+def test_names_and_bad_input() -> None:
+    assert {model: len(names) for model, names in COEFFICIENT_NAMES.items()} == COEFFICIENTS
+    with pytest.raises(ShapeError, match="at most 4"):
+        bend("equidistant", np.zeros(5), [[0, 0]])
+    with pytest.raises(ShapeError, match="plumb_bob, rational"):
+        bend("fisheye", np.zeros(5), [[0, 0]])
+    with pytest.raises(ShapeError, match="nearer the axis"):
+        bend("plumb_bob", (1, 1, 0, 0, 1), [[1e60, 0]])
+    assert unbend("plumb_bob", (0.1,), np.zeros((0, 2)))[0].shape == (0, 2)
