@@ -45,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--distortion", choices=("none", "plumb_bob", "rational_polynomial", "equidistant"), default="none",
         help="give the camera a typical lens of that model (default none)")
 
+    add("--view-deg", type=float, metavar="DEG",
+        help="horizontal angle of view, which sets the focal length (default 61)")
+
     group = parser.add_argument_group("targets")
     add = group.add_argument
     add("--template", type=Path, action="append", default=[], metavar="FILE",
@@ -172,13 +175,18 @@ def _capture(arguments: argparse.Namespace) -> Capture:
 
 
 def _camera(arguments: argparse.Namespace) -> Camera | None:
+    from imgu_ros.errors import ParameterError
     from imgu_ros.simulate.sequence import TYPICAL_LENSES, default_camera
     from imgu_ros.vision.camera.intrinsics import DistortionModel
 
+    view = None if arguments.view_deg is None else math.radians(arguments.view_deg)
+    if view is not None and not math.radians(1) <= view <= math.radians(150):
+        raise ParameterError(f"view: {arguments.view_deg:g} deg; need 1 to 150")
+    width, height = arguments.size
     if arguments.distortion == "none":
-        return None
+        return None if view is None else default_camera(width, height, view_rad=view)
     model = DistortionModel(arguments.distortion)
-    return default_camera(arguments.size[0], arguments.size[1], model, TYPICAL_LENSES[model])
+    return default_camera(width, height, model, TYPICAL_LENSES[model], view)
 
 
 def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:

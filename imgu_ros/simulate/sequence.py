@@ -25,6 +25,7 @@ from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_came
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+from imgu_ros.vision.formation.optics import focal_length_for
 from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 
 #: Light on a white surface, as a share of what saturates the sensor, without exposure compensation.
@@ -137,9 +138,10 @@ def default_camera(
     height: int,
     model: DistortionModel | str = DistortionModel.PLUMB_BOB,
     distortion: ArrayLike = (),
+    view_rad: float | None = None,
 ) -> Camera:
-    """Return a camera 61 degrees wide, its principal point a little off the centre."""
-    f = 0.85 * width
+    """Return a camera `view_rad` wide (61 degrees when None), its principal point a little off the centre."""
+    f = 0.85 * width if view_rad is None else focal_length_for(width, view_rad)
     K = np.array([[f, 0, (width - 1) / 2 + 0.0035 * width], [0, f, (height - 1) / 2 - 0.004 * height], [0, 0, 1]])
     return make_camera(K, distortion, model, width, height)
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.cli.main import main
 from imgu_ros.files.images import write_image
@@ -49,6 +51,16 @@ def test_shutter_lens_and_exposure_change_the_frames_and_not_the_truth(tmp_path:
     assert len(truths) == 1
 
 
+def test_angle_of_view_sets_the_focal_length(tmp_path: Path) -> None:
+    out = tmp_path / "bag"
+    assert main([*SMALL, "--out", str(out), "--view-deg", "90"]) == 0
+    with AnyReader([out], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        infos = [c for c in reader.connections if c.topic == "/camera/camera_info"]
+        info = next(reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(infos))
+    # At 90 degrees the focal length is half the width.
+    np.testing.assert_allclose(info.k[[0, 4]], 32)  # type: ignore[attr-defined]
+
+
 def test_several_templates(tmp_path: Path) -> None:
     paths = [tmp_path / "Left Wall.png", tmp_path / "grey.png"]
     write_image(paths[0], procedural_texture(60, 80, 1))
@@ -88,6 +100,7 @@ def test_several_templates(tmp_path: Path) -> None:
         (["--f-number", "0"], "f-number: 0; need more than 0"),
         (["--focus-m", "1"], "focus: 1 m without an f-number"),
         (["--f-number", "2", "--pixel-pitch-um", "0"], "pixel pitch: 0 um"),
+        (["--view-deg", "180"], "view: 180 deg; need 1 to 150"),
         (["--ev", "11"], "ev: [11.0]; need numbers from -10 to 10"),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Floats, Image, Mask, as_matrix
+from imgu_ros.types import Choice, Floats, Image, as_matrix
 
 _LARGEST = float(np.finfo(np.float32).max)
 _SAMPLES = 1 << 16
@@ -172,8 +172,8 @@ def principal_component(cube: Image) -> Image:
 def spectral_angle(cube: Image, reference: ArrayLike) -> Image:
     """Return the angle between each pixel's spectrum and a reference: 0 where only the brightness differs.
 
-    The spectral angle mapper (Kruse et al. 1993): cos(angle) = x . r / (|x| |r|), computed through the chord between
-    the unit vectors, 2 atan2(|a - b|, |a + b|), which keeps small angles exact (Kahan 2006).
+    The spectral angle mapper (Kruse et al. 1993): cos(angle) = x . r / (|x| |r|), computed as the arctangent of the
+    parts of x across and along r, which keeps the digits of small angles.
 
     Parameters
     ----------
@@ -205,21 +205,22 @@ def spectral_angle(cube: Image, reference: ArrayLike) -> Image:
     direction /= np.linalg.norm(direction)
     out = np.empty(cube.shape[:2], np.float32)
     for row in range(0, len(out), _ROWS):
-        out[row : row + _ROWS] = _angles(_clamped(cube[row : row + _ROWS]), direction)
+        out[row : row + _ROWS] = _angles(cube[row : row + _ROWS], direction)
     return out
 
 
-def _angles(spectra: Floats, reference: Floats) -> Floats:
-    """Return the angles (rows, columns) of spectra (rows, columns, N) to a reference of unit length."""
-    valid: Mask = np.isfinite(spectra).all(axis=2)
-    spectra = np.where(valid[:, :, None], spectra, 0)
-    largest = np.abs(spectra).max(axis=2)
-    valid &= largest > 0
-    unit = spectra / np.where(valid, largest, 1)[:, :, None]
-    length = np.linalg.norm(unit, axis=2)
-    unit /= np.where(valid, length, 1)[:, :, None]
-    angle = 2 * np.arctan2(np.linalg.norm(unit - reference, axis=2), np.linalg.norm(unit + reference, axis=2))
-    return np.where(valid, angle, np.pi)
+def _angles(block: Image, direction: Floats) -> Floats:
+    """Return the angles (rows, columns) of spectra (rows, columns, N) to a direction of unit length."""
+    spectra = _clamped(block)
+    if block.dtype.kind == "f":
+        spectra[~np.isfinite(spectra).all(axis=2)] = 0
+        if block.dtype.itemsize > 4:  # the squares of doubles may vanish
+            largest = np.abs(spectra).max(axis=2, keepdims=True)
+            spectra /= np.where(largest > 0, largest, 1)
+    along = spectra @ direction
+    spectra -= along[:, :, None] * direction
+    aside = np.sqrt(np.einsum("ijk,ijk->ij", spectra, spectra))
+    return np.where((aside > 0) | (along != 0), np.arctan2(aside, along), np.pi)
 
 
 def _sign(weights: Floats) -> float:
