@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import PIL.Image
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from imgu_ros.simulate.sequence import default_targets
@@ -57,9 +58,12 @@ def _save(figure: Figure, path: Path) -> None:
     """Few colours make a small file."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    PIL.Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(24, dither=0).save(
-        path, optimize=True
-    )
+    greys = np.repeat(np.linspace(0, 1, 24), 3).reshape(-1, 3)
+    colors = np.array([to_rgb(color) for color in _COLORS])
+    palette = PIL.Image.new("P", (1, 1))
+    palette.putpalette(np.rint(255 * np.vstack([greys, colors, (colors + 1) / 2])).astype(np.uint8).tobytes())
+    picture = PIL.Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture.quantize(palette=palette, dither=PIL.Image.Dither.NONE).save(path, optimize=True)
 
 
 def _spread_out(found: Keypoints) -> Keypoints:
