@@ -58,6 +58,44 @@ def test_variances_add(first, second):
     assert np.abs(once - twice).max() < 0.01 * once.max()
 
 
+@pytest.mark.parametrize("kernel_name", ["sampled", "discrete", "recursive"])
+@pytest.mark.parametrize(
+    ("dtype", "full", "atol"), [(np.uint8, 255, 1.5), (np.uint16, 65535, 80.0), (np.float32, 1, 2e-3)]
+)
+@pytest.mark.parametrize("sigma", [1.0, 2.3, 6.0])
+def test_every_kernel_is_a_gaussian_for_every_data_type(kernel_name, dtype, full, atol, sigma):
+    y, x = np.mgrid[-45:46, -52:53]
+    blob = 0.9 * np.exp(-(x**2 + y**2) / (2 * 5.0**2))
+    # A Gaussian of sigma 5 smoothed by another: variances add, the height falls as they rise.
+    wide = 25 + sigma**2
+    expected = 0.9 * 25 / wide * np.exp(-(x**2 + y**2) / (2 * wide))
+    got = smooth((full * blob).astype(dtype), sigma, kernel_name)
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, full * expected, atol=atol)
+
+
+@pytest.mark.parametrize("kernel_name", ["sampled", "discrete", "recursive"])
+@pytest.mark.parametrize("border", ["constant", "periodic", "reflected", "mirrored", "replicated"])
+def test_every_kernel_with_every_border(kernel_name, border):
+    rng = np.random.default_rng(5)
+    image = rng.random((22, 31), np.float32)
+    modes = {"constant": "constant", "periodic": "wrap", "reflected": "reflect", "mirrored": "symmetric"}
+    extra = {"constant_values": 0.25} if border == "constant" else {}
+    wide = np.pad(image, 40, mode=modes.get(border, "edge"), **extra)
+    expected = smooth(wide, 3.0, kernel_name)[40:-40, 40:-40]
+    np.testing.assert_allclose(smooth(image, 3.0, kernel_name, border, 0.25), expected, atol=5e-6)
+
+
+@given(st.floats(0.1, 0.8), st.floats(0.1, 0.8))
+def test_small_steps_of_the_discrete_kernel_add_up(first, second):
+    """Where the sampled kernel's variances fall short."""
+    image = np.zeros((31, 31), np.float32)
+    image[15, 15] = 1
+    once = smooth(image, math.hypot(first, second), "discrete")
+    twice = smooth(smooth(image, first, "discrete"), second, "discrete")
+    assert np.abs(once - twice).max() < 1e-4
+
+
 def test_channels_are_smoothed_alone():
     image = np.random.default_rng(2).random((15, 17, 3), np.float32)
     for channel in range(3):

@@ -65,7 +65,21 @@ def test_blur_of_every_level_is_as_designed(kind, per_octave, shape, tolerance):
         np.testing.assert_allclose(own, CAMERA_SIGMA_PX, rtol=tolerance)
 
 
-@given(st.integers(1, 200), st.integers(1, 200), st.sampled_from(["coarse", "fine"]), st.integers(1, 12))
+@pytest.mark.parametrize("kernel", ["sampled", "discrete", "recursive"])
+@pytest.mark.parametrize("kind", ["coarse", "fine"])
+def test_scale_of_every_level_on_blobs_with_every_kernel(kind, kernel):
+    center, sigma = (255.3, 256.1), 14.0
+    pyramid = build_pyramid(blob((512, 512), center, sigma), kind, 12, 3, kernel=kernel)
+    assert len(pyramid.levels) >= 5
+    for level in pyramid.levels[1:]:
+        found, variance = moments(level.image)
+        np.testing.assert_allclose(level.to_full(found)[0], center, atol=0.05)
+        added = variance * level.step**2 - sigma**2 - 1 / 12
+        own = np.sqrt(added / level.step**2 + CAMERA_SIGMA_PX**2 / level.step**2)
+        np.testing.assert_allclose(own, CAMERA_SIGMA_PX, rtol=0.08)
+
+
+@given(st.integers(1, 200), st.integers(1, 200), st.sampled_from(["coarse", "fine", "laplacian"]), st.integers(1, 12))
 def test_geometry_of_any_size(width, height, kind, levels):
     image = np.zeros((height, width), np.uint8)
     pyramid = build_pyramid(image, kind, levels, 3, min_side_px=8)
