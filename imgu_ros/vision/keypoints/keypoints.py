@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices, Mask, Points
 from imgu_ros.vision.scale_space.pyramid import Level
 
@@ -29,7 +30,14 @@ class Corners:
     response: Floats
 
     def chosen(self, which: Indices | Mask) -> Corners:
-        """Return the keypoints of the given indices or mask."""
+        """Return the keypoints of the given indices or mask.
+
+        Raises
+        ------
+        ShapeError
+            If `which` is neither indices below N nor a mask of N.
+        """
+        which = _as_choice(which, len(self.xy))
         return Corners(self.xy[which], self.scale[which], self.angle[which], self.response[which])
 
 
@@ -56,10 +64,28 @@ class Keypoints:
         return len(self.xy)
 
     def chosen(self, which: Indices | Mask) -> Keypoints:
-        """Return the keypoints of the given indices or mask."""
+        """Return the keypoints of the given indices or mask.
+
+        Raises
+        ------
+        ShapeError
+            If `which` is neither indices below N nor a mask of N.
+        """
+        which = _as_choice(which, len(self.xy))
         return Keypoints(self.xy[which], self.scale[which], self.angle[which], self.response[which], self.octave[which])
 
 
 def on_level(keypoints: Keypoints, level: Level) -> Corners:
     """Return the keypoints in the coordinates of a pyramid level."""
     return Corners(level.from_full(keypoints.xy), keypoints.scale / level.scale, keypoints.angle, keypoints.response)
+
+
+def _as_choice(which: Indices | Mask, count: int) -> Indices | Mask:
+    which = np.asarray(which)
+    if which.ndim == 1 and which.dtype.kind == "b" and len(which) == count:
+        return which
+    if which.ndim != 1 or which.dtype.kind not in "iu":
+        raise ShapeError(f"which: shape {which.shape} {which.dtype}; need (M,) integers or ({count},) bool")
+    if len(which) and not -count <= int(which.min()) <= int(which.max()) < count:
+        raise ShapeError(f"which: {which.min()} to {which.max()}; need 0 to {count - 1}")
+    return which

@@ -19,6 +19,8 @@ from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.orientation import scaled_orientation
 from imgu_ros.vision.keypoints.spreading import spread
 
+#: OpenCV refuses smaller pictures.
+_SMALLEST_SIDE_PX = 3
 #: Nested regions whose areas differ by less than this factor, one after the other, are one family.
 _DIVERSITY = 1.2
 #: ... and whose centroids lie within this share of the smaller one's radius.
@@ -121,7 +123,7 @@ def find_regions(
         )
     max_area = int(max_share * image.size)
     found: list[NDArray[np.int32]] = []
-    if max_area > min_area:
+    if max_area > min_area and min(image.shape) >= _SMALLEST_SIDE_PX:
         finder = cv2.MSER.create(
             delta=2 * delta, min_area=min_area, max_area=max_area, max_variation=max_variation, min_diversity=0.0
         )

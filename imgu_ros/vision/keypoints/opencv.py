@@ -13,6 +13,7 @@ from imgu_ros.types import Floats, Points, as_matrix, as_points
 from imgu_ros.vision.keypoints.keypoints import Corners
 
 _LARGEST_PX = 1e6
+_LARGEST_NUMBER = 1e30
 
 
 def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, with_angle: bool) -> Corners:
@@ -45,7 +46,33 @@ def require_describable(corners: Corners) -> None:
 
 
 def opencv_keypoints(xy: Points, size: Floats, angle: Floats, response: Floats) -> list[cv2.KeyPoint]:
-    """Make cv2's keypoints on octave 0; angle in radians. Row i gets class_id i, which OpenCV hands through."""
+    """Make cv2's keypoints on octave 0.
+
+    Parameters
+    ----------
+    xy : (N, 2) px
+    size : (N,) px, diameter
+    angle : (N,) rad
+    response : (N,)
+
+    Returns
+    -------
+    A list, row i with class_id i, which OpenCV hands through.
+
+    Raises
+    ------
+    ShapeError
+        If the arrays do not fit each other or hold what is not finite.
+    """
+    xy = as_points(xy, "xy")
+    size, angle, response = (
+        as_matrix(values, (len(xy),), name)
+        for values, name in ((size, "size"), (angle, "angle"), (response, "response"))
+    )
+    if len(xy) and max(np.abs(values).max() for values in (xy, size, angle, response)) > _LARGEST_NUMBER:
+        raise ShapeError(
+            f"xy, size, angle, response: need numbers up to {_LARGEST_NUMBER:g}, which is what OpenCV holds"
+        )
     degrees = np.degrees(angle) % 360
     return [
         cv2.KeyPoint(float(x), float(y), float(s), float(a), float(r), 0, index)

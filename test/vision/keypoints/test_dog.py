@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.vision.keypoints.dog import detect_dog
+
+#: Ratio of the blurs of two successive scales, three an octave.
+STEP = 2 ** (1 / 3)
+
+
+def blob(center, sigma, contrast, ramp=(0.0, 0.0), size=(200, 180)):
+    """A Gaussian blob on a ramp, rounded to grey values."""
+    x, y = np.meshgrid(np.arange(size[0]) - center[0], np.arange(size[1]) - center[1])
+    light = 128 + contrast * np.exp(-(x**2 + y**2) / (2 * sigma**2)) + ramp[0] * x + ramp[1] * y
+    return np.rint(light).clip(0, 255).astype(np.uint8)
+
+
+def blob_sigma(scale):
+    """Sigma of the Gaussian blob that is an extremum at a scale.
+
+    A blob of variance S under blurs of variance u and k^2 u differs at its centre by S / (S + k^2 u) - S / (S + u),
+    which is extremal where u = S / k; blurs are counted from that of half a pixel that pictures are taken to have.
+    """
+    return math.sqrt(STEP * scale**2 + 0.25)
+
+
+@pytest.mark.parametrize("sigma", [2.0, 2.5, 3.0, 4.2, 5.0, 6.3, 8.0])
+@pytest.mark.parametrize("contrast", [100, -100])
+@pytest.mark.parametrize("center", [(100.3, 90.6), (99.72, 88.13)])
+def test_blobs_to_a_tenth_of_a_pixel_and_five_percent(sigma, contrast, center):
+    found = detect_dog(blob(center, sigma, contrast), 20)
+    assert found.response[0] == found.response.max()
+    assert np.hypot(*(found.xy[0] - center)) < 0.1
+    assert blob_sigma(found.scale[0]) == pytest.approx(sigma, rel=0.05)
+
+
+def test_orientation_to_two_degrees():
+    # The gradients of a round blob point everywhere alike: the direction is that of the steep ramp below it.
+    # OpenCV's bins are 10 degrees wide, and it looks from the nearest pixel: single directions are worse than that.
+    errors = []
+    for direction in np.radians(np.arange(-180, 180, 13)):
+        found = detect_dog(blob((100.0, 90.0), 3.0, 30, (5 * math.cos(direction), 5 * math.sin(direction))), 20)
+        near = np.hypot(*(found.xy - (100, 90)).T) < 2
+        assert np.count_nonzero(near) == 1
+        assert -math.pi <= found.angle[near][0] < math.pi
+        errors.append((found.angle[near][0] - direction + math.pi) % (2 * math.pi) - math.pi)
+    assert np.sqrt(np.mean(np.square(errors))) < math.radians(2)
+    assert np.abs(errors).max() < math.radians(4)
+
+
+def test_several_directions_make_several_keypoints():
+    # The corner of four fields has four strong directions at one place.
+    picture = np.full((120, 120), 60, np.uint8)
+    picture[60:, 60:] = picture[:60, :60] = 180
+    found = detect_dog(picture, 100)
+    places = {tuple(xy) for xy in found.xy.round(3).tolist()}
+    assert len(places) < len(found.xy)
+
+
+def test_edges_and_faint_structures_are_rejected():
+    edge = np.full((120, 120), 60, np.uint8)
+    edge[:, 60:] = 180
+    away = np.abs(detect_dog(edge, 100).xy[:, 1] - 59.5) < 40  # the picture's own border bends the edge
+    assert not away.any()
+    assert len(detect_dog(blob((60.2, 60.4), 4.0, 6, size=(120, 120)), 100).xy) == 0
+
+
+@pytest.mark.parametrize("count", [0, -3])
+def test_counts_are_positive(count):
+    with pytest.raises(ShapeError, match=r"^max_count: [^\n]+need[^\n]+$"):
+        detect_dog(np.zeros((40, 40), np.uint8), count)
