@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.types import Floats
+from imgu_ros.types import Floats, as_matrix, as_points
 from imgu_ros.vision.estimation.nonlinear import Minimum
+
+#: Correlations are -1 to 1, save for rounding.
+_LARGEST = 1.001
 
 
 def propagated_covariance(minimum: Minimum, noise: float | None = None, correlation: Floats | None = None) -> Floats:
@@ -34,12 +37,15 @@ def propagated_covariance(minimum: Minimum, noise: float | None = None, correlat
     inverse = _inverse(normal)
     taken = float(parameters)
     if correlation is not None:
-        if correlation.shape != (count, count):
-            raise ShapeError(f"correlation: shape {correlation.shape}; need ({count}, {count})")
+        correlation = as_matrix(correlation, (count, count), "correlation")
+        if not np.abs(correlation).max() <= _LARGEST:
+            raise ShapeError(f"correlation: up to {np.abs(correlation).max():g}; need -1 to 1")
         middle = np.einsum("ndp,ndq->pq", jacobian, np.tensordot(correlation, jacobian, 1))
         # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
         taken = float(np.trace(inverse @ middle))
         inverse = inverse @ middle @ inverse
+    if noise is not None and not 0 <= noise < 1e100:
+        raise ShapeError(f"noise: {noise!r}; need a standard deviation")
     if noise is None:
         # A correspondence is worth two coordinates, also where symmetric residuals (D = 4) say them twice:
         # the sum of squares and the normal matrix are then both doubled, and the covariance comes out right.
@@ -56,6 +62,9 @@ def window_correlation(xy: Floats, side: float) -> Floats:
     xy : (N, 2) px, centres of square windows
     side : px, of the windows
     """
+    xy = as_points(xy, "xy")
+    if not 0 < side < np.inf or (xy.size and not np.abs(xy).max() < 1e100):
+        raise ShapeError(f"side, xy: {side!r}; need places in a picture, and a side above 0")
     x, y = (np.maximum(1 - np.abs(np.subtract.outer(c, c)) / side, 0) for c in np.ascontiguousarray(xy.T))
     return np.asarray(x * y, np.float64)
 

@@ -77,7 +77,7 @@ def fit_line(points: ArrayLike, weights: ArrayLike | None = None) -> LineEstimat
         raise DegenerateConfiguration("points: as wide as long; need points that spread along a line")
     normal = vectors[:, 0] * (1 if vectors[np.argmax(np.abs(vectors[:, 0])), 0] > 0 else -1)
     distance = away @ normal
-    count = np.count_nonzero(w)
+    count = int(np.count_nonzero(w))
     # The angle turns about the centroid; the offset moves the centroid: to first order they are independent.
     variance = float((w * distance**2).sum()) / max(count - 2, 1)
     along = np.array([-normal[1], normal[0]])

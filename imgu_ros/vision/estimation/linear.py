@@ -148,9 +148,19 @@ def homogeneous_least_squares(A: ArrayLike) -> Floats:
     return np.asarray(x * (1 if x[np.argmax(np.abs(x))] > 0 else -1), np.float64)
 
 
+def shape_of(array: ArrayLike, name: str) -> tuple[int, ...]:
+    """Return the shape of what may be a nested list. ShapeError when it is ragged, or holds no numbers."""
+    if isinstance(array, np.ndarray):
+        return tuple(array.shape)
+    try:
+        return np.asarray(array, np.float64).shape
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: {' '.join(str(error).split())}; need an array of numbers") from None
+
+
 def _whitened(covariance: ArrayLike, A: Floats, b: Floats) -> tuple[Floats, Floats]:
     count = len(A)
-    if np.ndim(covariance) == 1:
+    if len(shape_of(covariance, "covariance")) == 1:
         variances = as_matrix(covariance, (count,), "covariance")
         if not (variances.min() > 1 / _LARGEST and variances.max() < _LARGEST):
             raise DegenerateConfiguration("covariance: a variance is not positive; need numbers above 0")
@@ -178,20 +188,13 @@ def _system(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def _matrix(A: ArrayLike, name: str) -> Floats:
-    shape = np.shape(A) if not isinstance(A, list | tuple) else _shape_of_list(A)
+    shape = shape_of(A, name)
     if len(shape) != 2 or 0 in shape:
         raise ShapeError(f"{name}: shape {shape}; need (N, P), at least one row and column")
     A = as_matrix(A, shape, name)
     if not np.abs(A).max() < _LARGEST:
         raise ShapeError(f"{name}: up to {np.abs(A).max():g}; need less than {_LARGEST:g}")
     return A
-
-
-def _shape_of_list(rows: ArrayLike) -> tuple[int, ...]:
-    try:
-        return np.asarray(rows, np.float64).shape
-    except (TypeError, ValueError):
-        return (0,)
 
 
 def _plain(values: NDArray[np.float64], name: str) -> Floats:

@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
-from imgu_ros.types import Choice, Floats
+from imgu_ros.types import Choice, Floats, as_matrix
+from imgu_ros.vision.estimation.linear import shape_of
 from imgu_ros.vision.estimation.losses import Loss
 
 
@@ -79,6 +80,7 @@ class Minimum:
         return flat.T @ flat
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def minimise(
     problem: LeastSquaresProblem,
     start: Floats,
@@ -104,7 +106,9 @@ def minimise(
     Raises
     ------
     DegenerateConfiguration
-        If the measurements do not determine the parameters.
+        If the measurements do not determine the parameters, or the residuals are not finite at the start.
+    ShapeError
+        If the start is not an array of finite numbers.
 
     Examples
     --------
@@ -120,6 +124,7 @@ def minimise(
     ([3.0], True)
     """
     method = Minimiser(method)
+    start = as_matrix(start, shape_of(start, "start"), "start")
     guarded = method is not Minimiser.GAUSS_NEWTON
     # Steepest descent goes on for long with little gain at each step.
     enough = tolerance**2 if method is Minimiser.STEEPEST_DESCENT else tolerance
@@ -160,10 +165,11 @@ def minimise(
 
 def _weighted(residuals: Floats, loss: Loss | None) -> tuple[Floats, float]:
     squared = np.einsum("nd,nd->n", residuals, residuals)
-    if loss is None:
-        return np.ones(len(squared)), float(squared.sum())
-    weights, costs = loss(squared)
-    return weights, float(costs.sum())
+    weights, costs = (np.ones(len(squared)), squared) if loss is None else loss(squared)
+    cost = float(costs.sum())
+    if not math.isfinite(cost):
+        raise DegenerateConfiguration("residuals: not finite; need an estimate at which they are defined")
+    return weights, cost
 
 
 def _normal_equations(current: Linearisation, weights: Floats) -> tuple[Floats, Floats]:

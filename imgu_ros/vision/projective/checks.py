@@ -59,7 +59,11 @@ def finite(values: Floats, name: str) -> Floats:
     ------
     DegenerateConfiguration
         If one is not finite: a point was mapped to infinity.
+    ShapeError
+        If they are no real numbers.
     """
+    if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
+        raise ShapeError(f"{name}: no array of floats; need one")
     if not np.isfinite(values).all():
         raise DegenerateConfiguration(f"{name}: not finite; need points that H does not map to infinity")
     return values

@@ -121,8 +121,19 @@ def fit_homography(
     ------
     TooFewPoints, DegenerateConfiguration
         If the correspondences do not determine a homography that keeps the plane's orientation.
+    ShapeError
+        If the arrays do not fit each other, or hold numbers that are not finite or too large.
+
+    Examples
+    --------
+    >>> src = [[0, 0], [4, 0], [4, 3], [0, 3], [2, 1]]
+    >>> estimate = fit_homography(src, [[10, 5], [14, 5], [14, 8], [10, 8], [12, 6]], error="reprojection")
+    >>> (estimate.H / estimate.H[2, 2]).round(6).tolist()[0]
+    [1.0, 0.0, 10.0]
     """
     src, dst = as_points(src, "src"), as_points(dst, "dst")
+    if len(src) != len(dst):
+        raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")
     require_spread(src, "src")
     require_spread(dst, "dst")
     error = HomographyError(error)
@@ -150,7 +161,7 @@ def fit_homography(
     return HomographyEstimate(H, spread_out @ covariance @ spread_out.T, np.ones(len(src), bool), rms, 0)
 
 
-def require_spread(points: Points, name: str) -> None:
+def require_spread(points: ArrayLike, name: str) -> None:
     """Raise `DegenerateConfiguration` when points lie (nearly) on a line or coincide.
 
     Raises
@@ -158,9 +169,11 @@ def require_spread(points: Points, name: str) -> None:
     TooFewPoints
         If there are fewer than four.
     """
+    points = as_points(points, name)
     if len(points) < 4:
         raise TooFewPoints(f"{name}: {len(points)} points; need at least 4")
-    singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    away = points - points.mean(axis=0)
+    singular = np.linalg.svd(away / (np.abs(away).max() or 1.0), compute_uv=False)
     if not singular[1] > _MIN_ASPECT * singular[0]:
         raise DegenerateConfiguration(
             f"{name}: {len(points)} points on a line (width / length {singular[1] / max(singular[0], 1e-300):.2g}); "

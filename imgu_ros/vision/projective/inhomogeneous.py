@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Matrix3, as_matrix
-from imgu_ros.vision.estimation.linear import least_squares
+from imgu_ros.vision.estimation.linear import least_squares, shape_of
 from imgu_ros.vision.projective.dlt import design_matrix, normalisation
 from imgu_ros.vision.projective.transform import normalised_homography
 
@@ -74,7 +74,7 @@ def homography_inhomogeneous(src: ArrayLike, dst: ArrayLike, covariance: ArrayLi
 
 def _full(covariance: ArrayLike, count: int) -> Floats:
     """Return the covariance of all coordinates, (2 N, 2 N)."""
-    if np.ndim(covariance) == 2:
+    if len(shape_of(covariance, "covariance")) == 2:
         return as_matrix(covariance, (2 * count, 2 * count), "covariance")
     blocks = as_matrix(covariance, (count, 2, 2), "covariance")
     if not np.abs(blocks).max() < 1e90:

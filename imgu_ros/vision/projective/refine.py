@@ -37,7 +37,7 @@ def tangent_basis(H: ArrayLike) -> Floats:
     return np.asarray(reflection[:, 1:], np.float64)
 
 
-class HomographyProblem:
+class _HomographyProblem:
     """What the problems share: corresponding points, (N, 2) each, and the step."""
 
     def __init__(self, src: Points, dst: Points) -> None:
@@ -49,7 +49,7 @@ class HomographyProblem:
         return stepped(estimate, delta)
 
 
-class TransferProblem(HomographyProblem):
+class TransferProblem(_HomographyProblem):
     """Residuals in the destination image: (N, 2), px."""
 
     def residuals(self, estimate: Floats) -> Floats:
@@ -63,7 +63,7 @@ class TransferProblem(HomographyProblem):
         return Linearisation(self.residuals(estimate), by_h @ tangent_basis(estimate))
 
 
-class SymmetricProblem(HomographyProblem):
+class SymmetricProblem(_HomographyProblem):
     """Residuals in the destination and, by the inverse, in the source: (N, 4), px."""
 
     def residuals(self, estimate: Floats) -> Floats:
@@ -83,29 +83,27 @@ class SymmetricProblem(HomographyProblem):
         return Linearisation(self.residuals(estimate), np.concatenate((forward, backward), axis=1))
 
 
-class SampsonProblem(HomographyProblem):
+class SampsonProblem(_HomographyProblem):
     """Whitened Sampson residuals, (N, 2), px: their squares sum to the Sampson error (HZ section 4.2.6)."""
 
     def residuals(self, estimate: Floats) -> Floats:
-        """Return W (H src - dst), with W^-1 W^-T = I + J J^T and J the derivative of H src by src."""
-        transfer, J, _ = self._parts(estimate)
-        return _solved(_whitening_factor(J), transfer[:, :, None])[:, :, 0]
+        """Return L^-1 (H src - dst), with L L^T = I + J J^T and J the derivative of H src by src."""
+        mapped = self._src @ estimate[:, :2].T + estimate[:, 2]
+        xy = mapped[:, :2] / mapped[:, 2:]
+        return _whitened(estimate, xy, mapped[:, 2], (xy - self._dst)[:, :, None])[:, :, 0]
 
     def linearise(self, estimate: Floats) -> Linearisation:
         """Return residuals (N, 2) and their derivative (N, 2, 8).
 
         The whitening's own change with H is of second order in the residual and is left out, as in Gauss-Newton.
         """
-        transfer, J, by_h = self._parts(estimate)
-        factor = _whitening_factor(J)
-        residuals = _solved(factor, transfer[:, :, None])[:, :, 0]
-        return Linearisation(residuals, _solved(factor, by_h @ tangent_basis(estimate)))
-
-    def _parts(self, estimate: Floats) -> tuple[Floats, Floats, Floats]:
         mapped = self._src @ estimate[:, :2].T + estimate[:, 2]
         xy = mapped[:, :2] / mapped[:, 2:]
-        J = (estimate[None, :2, :2] - xy[:, :, None] * estimate[2, :2]) / mapped[:, 2][:, None, None]
-        return xy - self._dst, J, derivative_by_h(estimate, self._src)
+        columns = np.empty((len(xy), 2, 9))
+        columns[:, :, 0] = xy - self._dst
+        columns[:, :, 1:] = derivative_by_h(estimate, self._src) @ tangent_basis(estimate)
+        whitened = _whitened(estimate, xy, mapped[:, 2], columns)
+        return Linearisation(whitened[:, :, 0], whitened[:, :, 1:])
 
 
 def stepped(H: ArrayLike, delta: ArrayLike) -> Matrix3:
@@ -161,14 +159,22 @@ def _unit(H: Matrix3) -> Floats:
     return np.asarray(h / np.linalg.norm(h), np.float64)
 
 
-def _whitening_factor(J: Floats) -> Floats:
-    """Return the Cholesky factor of I + J J^T, (N, 2, 2)."""
-    return np.asarray(np.linalg.cholesky(np.eye(2) + J @ np.swapaxes(J, 1, 2)), np.float64)
+def _whitened(H: Floats, xy: Points, w: Floats, columns: Floats) -> Floats:
+    """Return L^-1 columns, (N, 2, C), with L the Cholesky factor of I + J J^T, by hand: it is 2 x 2."""
+    J = (H[None, :2, :2] - xy[:, :, None] * H[2, :2]) / w[:, None, None]
+    squares = np.einsum("nij,nij->ni", J, J)
+    first = np.sqrt(1 + squares[:, 0])
+    below = np.einsum("nj,nj->n", J[:, 0], J[:, 1]) / first
+    area = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+    second = np.sqrt(1 + squares.sum(axis=1) + area**2) / first
+    whitened = np.empty_like(columns)
+    whitened[:, 0] = columns[:, 0] / first[:, None]
+    whitened[:, 1] = (columns[:, 1] - below[:, None] * whitened[:, 0]) / second[:, None]
+    return whitened
 
 
 def _inverse(H: Floats) -> Floats:
-    return np.asarray(np.linalg.inv(H), np.float64)
-
-
-def _solved(A: Floats, B: Floats) -> Floats:
-    return np.asarray(np.linalg.solve(A, B), np.float64)
+    try:
+        return np.asarray(np.linalg.inv(H), np.float64)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration("H: singular; need a homography") from None

@@ -17,7 +17,7 @@ from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.estimation.nonlinear import Linearisation
 from imgu_ros.vision.projective.checks import checked_pairs, finite
-from imgu_ros.vision.projective.refine import HomographyProblem, derivative_by_h, tangent_basis
+from imgu_ros.vision.projective.refine import TransferProblem, derivative_by_h, tangent_basis
 
 _ROUNDS = 20
 _SETTLED = 1e-12
@@ -65,7 +65,7 @@ def corrected_points(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> CorrectedP
     return CorrectedPoints(finite(corrected, "src"), finite(mapped, "dst"))
 
 
-class ReprojectionProblem(HomographyProblem):
+class ReprojectionProblem(TransferProblem):
     """Residuals of corrected points in both images, (N, 4), px; their squares sum to the reprojection error."""
 
     def residuals(self, estimate: Floats) -> Floats:
@@ -80,7 +80,7 @@ class ReprojectionProblem(HomographyProblem):
         A = np.zeros((len(corrected), 4, 8))
         A[:, 2:] = derivative_by_h(estimate, corrected) @ tangent_basis(estimate)
         # What a step of the point can undo costs nothing.
-        A -= B @ np.linalg.solve(np.swapaxes(B, 1, 2) @ B, np.swapaxes(B, 1, 2) @ A)
+        A -= B @ _least_squares(B, A)
         return Linearisation(np.hstack((corrected - self._src, mapped - self._dst)), A)
 
 
@@ -95,7 +95,7 @@ def _corrected(H: Floats, src: Points, dst: Points) -> list[Points]:
         mapped = _mapped(H, at)
         B = _by_point(H, at, mapped)
         residuals = np.hstack((at - src, mapped - dst))
-        step = -np.linalg.solve(np.swapaxes(B, 1, 2) @ B, np.swapaxes(B, 1, 2) @ residuals[:, :, None])[:, :, 0]
+        step = -_least_squares(B, residuals[:, :, None])[:, :, 0]
         at = at + step
         if not (side * (at @ H[2, :2] + H[2, 2]) > 0).all():
             raise DegenerateConfiguration("src: a corrected point lies beyond the horizon of H; need a nearer start")
@@ -116,3 +116,12 @@ def _by_point(H: Floats, points: Points, mapped: Points) -> Floats:
     w = points @ H[2, :2] + H[2, 2]
     B[:, 2:] = (H[None, :2, :2] - mapped[:, :, None] * H[2, :2]) / w[:, None, None]
     return B
+
+
+def _least_squares(B: Floats, columns: Floats) -> Floats:
+    """Return (B^T B)^-1 B^T columns, (N, 2, C), of B (N, 4, 2), by Cramer's rule."""
+    normal = np.swapaxes(B, 1, 2) @ B
+    right = np.swapaxes(B, 1, 2) @ columns
+    a, b, d = (normal[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    solution = np.stack((d * right[:, 0] - b * right[:, 1], a * right[:, 1] - b * right[:, 0]), axis=1)
+    return np.asarray(solution / (a * d - b * b)[:, None], np.float64)
