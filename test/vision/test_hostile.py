@@ -204,6 +204,16 @@ OTHER: dict[str, Callable[[NDArray[Any], float], Any]] = {
     "one huge": _one_huge,
     "tiny": lambda a, _: np.full_like(a, 1e-300 if a.dtype == np.float64 else 1e-38 if a.dtype.kind == "f" else 0),
 }
+#: Of functions that search or iterate, tens of milliseconds a call, these alone are swept through.
+CORE = {
+    "strided", "read-only", "byte-swapped", "empty", "one", "nan", "inf", "complex", "stacked", "shorter", "zeros",
+    "one huge",
+}  # fmt: skip
+SLOW = {
+    "best_of", "calibrate", "describe_brief_on_a_pyramid", "describe_orb_on_a_pyramid", "describe_patch_on_a_pyramid",
+    "describe_rootsift_on_a_pyramid", "describe_sift_on_a_pyramid", "estimate_homography", "estimate_pose",
+    "estimate_projection", "estimate_rotation", "fit_homography", "guided_homography", "planar_poses",
+}  # fmt: skip
 FLOATS = {"nan": np.nan, "inf": np.inf, "-inf": -np.inf}
 
 
@@ -341,6 +351,8 @@ def test_valid_call(name: str) -> None:
 def test_hostile_argument(name: str) -> None:
     room, function = _room_of(name), EVERY[name]
     cases = list(_cases(room.calls[function](np.random.default_rng(0))))
+    if name.rpartition(".")[2] in SLOW:
+        cases = [case for case in cases if case.mutation in CORE]
     found = [_violation(function, [case], room, 0, 0.5) for case in cases]
     wrong = [violation for violation in found if violation]
     if wrong:
@@ -356,7 +368,7 @@ def test_hostile_arguments_together(name: str) -> None:
 
     # What is found is two mutations at most: nothing to shrink.
     @settings(
-        max_examples=6, derandomize=True, database=None, deadline=None, phases=[Phase.generate],
+        max_examples=5, derandomize=True, database=None, deadline=None, phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )  # fmt: skip
     @given(
