@@ -126,7 +126,7 @@ class RawParameters:
         (1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", minimum=0.01, maximum=100.0
     )
     bands: tuple[int, ...] = parameter(
-        (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=63
+        (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=9998
     )
     band_mode: str = parameter(
         "mean",

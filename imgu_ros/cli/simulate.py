@@ -67,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     group = parser.add_argument_group(
         "shutter, lens and exposure",
-        "Stamp and truth of a frame are of the middle of the exposure of the middle of the picture.",
+        "Stamp and truth of a frame are of the middle of the exposure of the middle of the picture.\n  A blurred frame "
+        "is the mean of many sharp ones: it takes as many times longer.",
     )
     add = group.add_argument
     add("--exposure-ms", type=float, default=0.0, metavar="MS",

@@ -150,7 +150,7 @@ def _pose_of_rows(pose_at: Callable[[float], RigidTransform], times: Floats, smo
     count = min(len(times), 9 + math.ceil(4 * abs(times[-1] - times[0]) / smooth_s))
     nodes = np.linspace(times[0], times[-1], count)
     poses = [pose_at(t) for t in nodes.tolist()]
-    # Over so short a time the entries of R run so smoothly that it stays a rotation to 1e-9.
+    # Over so short a time the entries of R run so smoothly that it stays a rotation to 1e-8.
     order = slice(None) if times[-1] > times[0] else slice(None, None, -1)
     R = CubicSpline(nodes[order], np.stack([p.R for p in poses])[order])
     t = CubicSpline(nodes[order], np.stack([p.t for p in poses])[order])

@@ -15,6 +15,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 _SAMPLES = 1 << 16
 #: pi less the angle of a pixel without a direction, in single precision.
 _UNLIKE = 1e-6
+#: Rows worked on at a time, so that no copy of a whole cube in double precision is made.
 _ROWS = 64
 
 
@@ -109,8 +110,10 @@ def mean_of_bands(cube: Image, weights: ArrayLike | None = None) -> Image:
     factors = factors / factors.sum()
     # A band of weight 0 must not count, even where it has no value.
     used = factors > 0
+    mean = np.empty(cube.shape[:2])
     with np.errstate(invalid="ignore", over="ignore"):
-        mean = cube[:, :, used].astype(np.float64) @ factors[used]
+        for row in range(0, len(mean), _ROWS):
+            mean[row : row + _ROWS] = cube[row : row + _ROWS][:, :, used].astype(np.float64) @ factors[used]
     return _filled(mean, cube.dtype.kind == "f")
 
 
@@ -164,7 +167,7 @@ def principal_component(cube: Image) -> Image:
     weights = weights * _sign(weights)
     out = np.empty(cube.shape[:2])
     with np.errstate(invalid="ignore", over="ignore"):
-        for row in range(0, len(out), _ROWS):  # in strips: no copy of the whole cube in double precision
+        for row in range(0, len(out), _ROWS):
             out[row : row + _ROWS] = (_clamped(cube[row : row + _ROWS]) - mean) @ weights
     return _filled(out, cube.dtype.kind == "f")
 
