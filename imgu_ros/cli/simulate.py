@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     group = parser.add_argument_group(
         "shutter, lens and exposure",
-        "Stamp and truth of a frame are of the middle of the exposure of the middle of the picture.\n  A blurred frame "
+        "Stamp and truth of a frame are of the middle of the exposure of the middle of the picture.\nA blurred frame "
         "is the mean of many sharp ones: it takes as many times longer.",
     )
     add = group.add_argument

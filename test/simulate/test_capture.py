@@ -253,6 +253,30 @@ def test_rolling_shutter_without_motion_is_global() -> None:
     assert np.abs(rolling - at_once).mean() < 1e-4
 
 
+def test_rolling_shutter_over_a_floor_that_reaches_behind_the_camera() -> None:
+    floor = replace(SCENE, targets=(replace(SCENE.targets[0], width_m=4.0),))
+    tilt = rotation_about(np.array([1.0, 0.0, 0.0]), math.radians(75))
+    pose_at = sliding((0.0, 0.0, 0.0), RigidTransform(tilt @ FACING, np.array([0.0, 0.3, 0.5])))
+    images = [
+        Renderer(floor, CAMERA, MONO).mean_radiance(views_of(capture, pose_at, 10.0, CAMERA, floor))
+        for capture in (Capture(row_time_s=1e-5), Capture())
+    ]
+    assert np.abs(images[0] - images[1]).mean() < 1e-4
+
+
+def test_target_that_passes_while_the_rows_are_read() -> None:
+    # So fast that the first rows see it on the left and the last ones on the right, beyond the image's edge.
+    pose_at = sliding((20.0, 0.0, 0.0), still())
+    image = taken(Capture(row_time_s=2e-4), pose_at)
+    rows = np.arange(CAMERA.height)
+    expected = np.array([on_image(pose_at(2e-4 * (row - 99.5)))[1, 0] for row in rows])
+    near = np.abs(rows - on_image(still())[1, 1]) < 2
+    for row, x in zip(rows[near], expected[near], strict=True):
+        light = image[row, round(x) - 8 : round(x) + 9]
+        assert light @ np.arange(-8, 9) / light.sum() + round(x) == pytest.approx(x, abs=0.02)
+    assert image[:40, -30:].mean() > 0.1 > image[90:110, 100:180].min()  # the wall where the target is not yet
+
+
 SMALL = Simulation(width=160, height=120, frames=90, seed=5, sensor=None, layout=MONO)
 POSTER = (TargetImage("poster", procedural_texture(160, 120, 0), 0.4),)
 

@@ -138,6 +138,15 @@ def test_large_cubes_are_sampled():
     assert_allclose(got - got.mean(), (cube @ exact) - (cube @ exact).mean(), atol=0.02)
 
 
+def test_a_few_pixels_with_a_value_are_found() -> None:
+    # So large that a grid samples it, and nearly all of it a gap between the grid's points.
+    cube = np.full((600, 600, 2), np.nan, np.float32)
+    cube[301, 301], cube[303, 303] = (1.0, 2.0), (4.0, 6.0)
+    got = principal_component(cube)
+    assert got[303, 303] - got[301, 301] == pytest.approx(5)
+    assert got.min() == got[301, 301] == got[0, 0]
+
+
 @pytest.mark.parametrize("mode", BandMode)
 def test_pixels_without_a_value_are_dark_and_do_not_matter(mode):
     rng = np.random.default_rng(3)
