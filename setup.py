@@ -52,6 +52,8 @@ setup(
         "tqdm>=4.66",
     ],
     extras_require={
+        # What benchmarks/ compares with.
+        "bench": ["colour-demosaicing>=0.2.6"],
         # Wheels for x86-64 Linux; elsewhere ROS 2 Jazzy comes from apt (README.md). Without `fastrtps` there is no
         # middleware, and importing rclpy fails.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
