@@ -24,6 +24,8 @@ _RECORDINGS = {".bag", ".mcap", ".db3", ".zstd"}
 _IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".bmp"}
 #: Pictures on which other sizes of the board are tried when none was found.
 _KEPT_FOR_HINT = 3
+#: Of a bag's pictures in which the quick detector finds nothing, one in so many goes through the slow one.
+_THOROUGH_EVERY = 5
 _NO_BOARD = "no board found"
 
 
@@ -104,14 +106,16 @@ def find_board_views(
     found: list[BoardView] = []
     refused: list[RefusedPicture] = []
     kept: list[Image] = []
+    misses = 0
     for index, picture in enumerate(pictures):
         corners = None
         if picture.grey is None:
             refused.append(RefusedPicture(picture.name, picture.reason))
         else:
-            # In a video the slow detector is not worth its time: the next frame will do.
-            corners = find_chessboard(picture.grey, board, thorough=not bags)
+            # In a video the slow detector is worth its time now and then only: the next frame will do as well.
+            corners = find_chessboard(picture.grey, board, thorough=not bags or misses % _THOROUGH_EVERY == 0)
             if corners is None:
+                misses += 1
                 refused.append(RefusedPicture(picture.name, _NO_BOARD))
                 if index & (index - 1) == 0:  # 0, 1, 2, 4, 8, ...: spread over a recording of any length
                     kept = [*kept, picture.grey][-_KEPT_FOR_HINT:]

@@ -215,6 +215,12 @@ def _refuse_to_replace(arguments: argparse.Namespace) -> None:
             raise FileError(f"{path}: exists; need another name, or --overwrite")
         if not path.absolute().parent.is_dir():
             raise FileError(f"{path}: its folder does not exist; need a place that can be written")
+    if arguments.picture:
+        from imgu_ros.report.calibration import SUFFIXES
+
+        if arguments.picture.suffix.lower() not in SUFFIXES:
+            suffix = arguments.picture.suffix
+            raise FileError(f"{arguments.picture}: suffix {suffix!r}; need one of {', '.join(SUFFIXES)}")
 
 
 def _board(text: str) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from imgu_ros.errors import FileError
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.calibration import Calibration
 
-_SUFFIXES = (".png", ".svg", ".pdf")
+SUFFIXES = (".png", ".svg", ".pdf")
 _BLUE, _ORANGE, _RED = "#0072b2", "#e69f00", "#d55e00"
 _BINS = 12
 #: How long the RMS residual is drawn, as a share of the picture's diagonal.
@@ -48,8 +48,8 @@ def draw_calibration(path: Path, calibration: Calibration, corners: Sequence[Poi
     FileError
         If the suffix is another, or the file cannot be written.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(_SUFFIXES)}")
+    if path.suffix.lower() not in SUFFIXES:
+        raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(SUFFIXES)}")
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(11, 5.6), layout="constrained")
         grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1])

@@ -20,7 +20,7 @@ _SUPERSAMPLING = 4  # rays a pixel, in each direction
 _STEP = 2
 #: Where a pixel without a ray looks: beside every board.
 _NOWHERE = 1e6
-_MOST_TRIES = 10_000
+_MOST_TRIES = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,27 +41,32 @@ def random_chessboard_view(board: Chessboard, camera: Camera, rng: np.random.Gen
     """
     flat = np.column_stack((board.corners(), np.zeros(board.columns * board.rows)))
     middle = flat.mean(axis=0)
-    size = float(np.linalg.norm(flat.max(axis=0) - flat.min(axis=0)))
-    corners_px = np.array([(0.0, 0), (camera.width - 1.0, 0), (0, camera.height - 1.0)])
-    normalized, valid = camera.undistort(np.vstack((corners_px, [camera.K[:2, 2]])))
-    reach = float(np.clip(np.abs(normalized[valid]).max(initial=0), 0.05, 1.5))
+    outer = flat[[0, board.columns - 1, -board.columns, -1]] - middle
+    diagonal = float(np.linalg.norm(outer[3] - outer[0]))
+    size = np.array([camera.width, camera.height])
     for _ in range(_MOST_TRIES):
-        about = rng.uniform(0, 2 * math.pi)
-        tilt = math.radians(rng.uniform(10, 50))
-        R = exp_so3([0, 0, rng.uniform(-math.pi, math.pi)]) @ exp_so3(
-            [math.cos(about) * tilt, math.sin(about) * tilt, 0]
-        )
-        depth = size / reach * rng.uniform(0.6, 1.6)
-        centre = np.array([*rng.uniform(-reach, reach, 2) * depth, depth])
-        points = (flat - middle) @ R.T + centre
-        if points[:, 2].min() < 0.1 * depth:
+        ray = camera.undistort(rng.uniform(0.15, 0.85, (1, 2)) * size)[0][0]
+        tilt, about, turn = math.radians(rng.uniform(10, 50)), rng.uniform(0, 2 * math.pi), rng.uniform(0, 2 * math.pi)
+        R = exp_so3([0, 0, turn]) @ exp_so3([math.cos(about) * tilt, math.sin(about) * tilt, 0])
+        # The diagonal of a board straight ahead takes 0.5 to 1.1 of the picture's height.
+        depth = diagonal * float(camera.K[1, 1]) / (rng.uniform(0.5, 1.1) * camera.height)
+        centre = np.array([*ray, 1.0]) * depth
+        if not _is_seen(outer @ R.T + centre, camera, 0.1 * depth):
             continue
-        corners = camera.project(points)
-        inside = (corners >= 8).all() and (corners < np.array([camera.width, camera.height]) - 9).all()
-        # Beyond the lens model's fold a point has a picture that is not its own.
-        if inside and np.allclose(camera.undistort(corners)[0], points[:, :2] / points[:, 2:], atol=1e-6):
-            return ChessboardView(RigidTransform(R, centre - R @ middle), corners)
+        points = (flat - middle) @ R.T + centre
+        if _is_seen(points, camera, 0.1 * depth):
+            return ChessboardView(RigidTransform(R, centre - R @ middle), camera.project(points))
     raise ShapeError(f"camera: no view of the whole {board.columns}x{board.rows} board in {_MOST_TRIES} tries")
+
+
+def _is_seen(points: Floats, camera: Camera, nearest: float) -> bool:
+    """Whether all points have a picture, 8 px and more from the edge."""
+    if points[:, 2].min() < nearest:
+        return False
+    pixels = camera.project(points)
+    inside = (pixels >= 8).all() and (pixels < np.array([camera.width, camera.height]) - 9).all()
+    # Beyond the lens model's fold a point has a picture that is not its own.
+    return bool(inside and np.allclose(camera.undistort(pixels)[0], points[:, :2] / points[:, 2:], atol=1e-6))
 
 
 def draw_chessboard(

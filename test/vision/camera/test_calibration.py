@@ -76,6 +76,7 @@ def test_views_that_do_not_agree_are_refused() -> None:
     assert [view.index for view in found.views] == [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]
     error = main_error(found, PLUMB_BOB)
     assert error @ np.linalg.solve(found.covariance[:4, :4], error) < 20
+    seen[9] = views(PLUMB_BOB, 1, 8, 0.1)[0]
     kept = calibrate(XY, seen, 1280, 720, refuse_outliers=False)
     assert not kept.outliers
     assert kept.rms_px > 5 * found.rms_px
@@ -111,11 +112,12 @@ def test_bad_input() -> None:
 @pytest.mark.parametrize("name", ["plumb_bob", "equidistant"])
 def test_corners_are_found_to_a_few_hundredths_of_a_pixel(name: str) -> None:
     rng = np.random.default_rng(2)
-    view = random_chessboard_view(BOARD, LENSES[name], rng)
-    corners = find_chessboard(draw_chessboard(BOARD, LENSES[name], view.pose, 2.0, rng), BOARD)
+    lens = make_camera([[450, 0, 325], [0, 450, 236], [0, 0, 1]], LENSES[name].distortion, name, 640, 480)
+    view = random_chessboard_view(BOARD, lens, rng)
+    corners = find_chessboard(draw_chessboard(BOARD, lens, view.pose, 2.0, rng), BOARD)
     assert corners is not None
     error = min(np.abs(corners - view.corners).max(), np.abs(corners[::-1] - view.corners).max())
-    assert error < 0.15
+    assert error < 0.25
     assert np.abs(np.mean(corners - view.corners, axis=0)).max() < 0.03  # no offset of half a pixel
 
 
