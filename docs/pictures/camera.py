@@ -19,7 +19,7 @@ from imgu_ros.vision.camera.rotation import exp_so3
 
 BOARD = Chessboard(9, 6, 0.03)
 LENSES = (
-    ("plumb_bob", (-0.35, 0.12, 0.0, 0.0, -0.01)),
+    ("plumb_bob", (-0.25, 0.01, 0.0, 0.0, 0.0)),
     ("rational_polynomial", (0.6, 0.1, 0.0, 0.0, 0.01, 0.2, 0.05, 0.01)),
     ("equidistant", (0.0, 0.0, 0.0, 0.0)),
 )
@@ -52,7 +52,7 @@ def _curves(axes: Axes) -> None:
         fold = fold_radius(model, k)
         if np.degrees(np.arctan(fold)) < 75:
             axes.plot(np.degrees(np.arctan(fold)), bend(model, k, [[fold, 0]])[0][0, 0], "o", color=color)
-            axes.annotate("fold: no inverse beyond", (np.degrees(np.arctan(fold)), 0.7), (12, 0.06), fontsize=7.5)
+            axes.text(np.degrees(np.arctan(fold)), 0.35, "fold: no inverse beyond", ha="center", fontsize=7)
     axes.plot(np.degrees(theta), np.tan(theta), ":", color="#888888", label="no lens: tan")
     axes.set(ylim=(0, 1.8), xlabel="angle off the axis (deg)", ylabel="distorted radius / f", title="radial part")
     axes.legend(frameon=False, fontsize=7)
