@@ -22,6 +22,9 @@ _LOCAL_STEPS = 4
 _REACH = 8 / 3
 #: Reaches of the successive weighted fits, in those of the score: a sample's errors magnify away from it.
 _ANNEALING = (2.0, 1.4, 1.0, 1.0, 1.0, 1.0)
+#: Probability that a wrong hypothesis agrees with a point, and inliers beyond chance that make a stop early.
+_BY_CHANCE = 0.05
+_SUPPORT = 8
 #: Hypotheses of each batch that are fitted by weight.
 _PROMISING = 2
 
@@ -137,8 +140,8 @@ def ransac(
         hypotheses = model.generate(samples)
         scored += len(hypotheses)
         if len(hypotheses) and search.improve(hypotheses):
-            inliers = int(np.count_nonzero(search.errors <= limit))
-            needed = min(needed, iterations_needed(inliers / model.count, model.sample_size, confidence))
+            share = _inlier_share(search.errors <= limit, model.sample_size, Sampler(sampler))
+            needed = min(needed, iterations_needed(share, model.sample_size, confidence))
         if drawn >= min(needed, most_drawn) or scored >= max_iterations:
             break
     inlier_mask = search.errors <= limit
@@ -177,6 +180,21 @@ def iterations_needed(inlier_share: float, sample_size: int, confidence: float) 
     if good < 1e-15:
         return 2**62
     return max(1, math.ceil(math.log(1 - confidence) / math.log1p(-good)))
+
+
+def _inlier_share(inliers: Mask, sample_size: int, sampler: Sampler) -> float:
+    """Return the share of inliers; for PROSAC the highest among the best n points, for any n with more than chance.
+
+    Samples come from the best points, so that it is their share that counts (Chum & Matas 2005, section 2.2).
+    """
+    if sampler is Sampler.UNIFORM:
+        return float(inliers.mean())
+    found = np.cumsum(inliers)
+    n = np.arange(1, len(inliers) + 1)
+    by_chance = _BY_CHANCE * n
+    sure = found >= sample_size + by_chance + 3 * np.sqrt(by_chance) + _SUPPORT
+    sure[-1] = True
+    return float((found[sure] / n[sure]).max())
 
 
 class _Search:

@@ -53,8 +53,8 @@ def homography_inhomogeneous(src: ArrayLike, dst: ArrayLike, covariance: ArrayLi
     src, dst = (np.asarray(p, np.float64) @ T[:2, :2].T + T[:2, 2] for p, T in ((src, T_src), (dst, T_dst)))
     if len(src) != len(dst) or len(src) < 4:
         raise TooFewPoints(f"src, dst: {len(src)} and {len(dst)} points; need at least 4 pairs")
-    # The design's rows are those of y and x; the covariance's x and y.
-    rows = design_matrix(src, dst)[:, ::-1].reshape(-1, 9)
+    # The design's rows are w (v - y) and w (x - u); the covariance's order and signs are those of x and y.
+    rows = (design_matrix(src, dst) * [[-1.0], [1.0]])[:, ::-1].reshape(-1, 9)
     A, b = rows[:, :8], -rows[:, 8]
     noise = None if covariance is None else _full(covariance, len(src)) * T_dst[0, 0] ** 2
     h = least_squares(A, b, None if noise is None else noise).x

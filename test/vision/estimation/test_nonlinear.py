@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
-from imgu_ros.errors import DegenerateConfiguration
+from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats
 from imgu_ros.vision.estimation.losses import huber
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
@@ -73,3 +73,32 @@ def test_no_iteration_still_linearises() -> None:
     assert minimum.iterations == 0
     assert not minimum.converged
     assert minimum.normal_matrix.shape == (2, 2)
+
+
+def test_steepest_descent_comes_to_the_same_minimum_in_more_steps() -> None:
+    problem = noisy()
+    newton = minimise(problem, np.array([2.5, 0.6]))
+    descent = minimise(problem, np.array([2.5, 0.6]), "steepest_descent", max_iterations=500)
+    assert descent.converged
+    assert newton.iterations < descent.iterations < 200
+    assert_allclose(descent.estimate, newton.estimate, rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["steepest_descent", "levenberg_marquardt"])
+def test_no_step_raises_the_cost(method: str) -> None:
+    problem, costs = noisy(), []
+    for steps in range(15):
+        minimum = minimise(problem, np.array([8.0, 3.0]), method, max_iterations=steps)
+        assert minimum.iterations <= steps
+        costs.append((minimum.linearisation.residuals**2).sum())
+    assert (np.diff(costs) <= 0).all()
+    assert costs[-1] < costs[0] / 4
+
+
+def test_start_and_method_are_checked() -> None:
+    with pytest.raises(ShapeError, match="start"):
+        minimise(noisy(), np.array([np.nan, 1.0]))
+    with pytest.raises(ShapeError, match="steepest_descent"):
+        minimise(noisy(), np.array([1.0, 1.0]), "newton")
+    with pytest.raises(DegenerateConfiguration, match="finite"):
+        minimise(noisy(), np.array([1.0, -1e6]))

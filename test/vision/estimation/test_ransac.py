@@ -78,3 +78,45 @@ def test_bounds() -> None:
         ransac(Line(np.zeros((9, 2))), 1.0, np.random.default_rng(0), max_iterations=50)
     with pytest.raises(ShapeError, match="threshold"):
         ransac(model, 0.0, np.random.default_rng(0))
+
+
+HZ_TABLE_4_3 = {  # sample size: samples at 5, 10, 20, 25, 30, 40, 50 % outliers, p = 0.99
+    2: (2, 3, 5, 6, 7, 11, 17),
+    3: (3, 4, 7, 9, 11, 19, 35),
+    4: (3, 5, 9, 13, 17, 34, 72),
+    5: (4, 6, 12, 17, 26, 57, 146),
+    6: (4, 7, 16, 24, 37, 97, 293),
+    7: (4, 8, 20, 33, 54, 163, 588),
+    8: (5, 9, 26, 44, 78, 272, 1177),
+}
+
+
+@pytest.mark.parametrize("size", HZ_TABLE_4_3)
+def test_table_of_hartley_and_zisserman(size: int) -> None:
+    shares = (0.05, 0.1, 0.2, 0.25, 0.3, 0.4, 0.5)
+    assert tuple(iterations_needed(1 - e, size, 0.99) for e in shares) == HZ_TABLE_4_3[size]
+
+
+def test_biweight_depends_less_on_the_threshold() -> None:
+    """A model without a weighted fit of its own; thresholds from a third of the right one to three times it."""
+    points = points_on_a_vertical_line(60)
+    spread = {}
+    for score in ("truncated", "biweight"):
+        offsets = [
+            -c / a
+            for t in (0.01, 0.03, 0.1)
+            for a, _, c in [ransac(Line(points), t, np.random.default_rng(4), score=score).hypothesis]
+        ]
+        assert np.abs(np.array(offsets) - 5).max() < 0.05
+        spread[score] = np.ptp(offsets)
+    assert spread["biweight"] <= spread["truncated"] + 0.005
+
+
+def test_unknown_choices() -> None:
+    model = Line(points_on_a_vertical_line(0))
+    with pytest.raises(ShapeError, match="truncated"):
+        ransac(model, 0.1, np.random.default_rng(0), score="best")
+    with pytest.raises(ShapeError, match="prosac"):
+        ransac(model, 0.1, np.random.default_rng(0), sampler="best")
+    with pytest.raises(ShapeError, match="inlier_share"):
+        iterations_needed(1.5, 4, 0.99)
