@@ -1,0 +1,26 @@
+"""Keypoints: places that are found again in another view.
+
+`detect` finds them on every level of a pyramid with any of six detectors; all give position, scale, orientation and
+response, so that every descriptor of the chain can follow.
+
+| detector | finds | sub-pixel | scales | when to use it |
+|---|---|---|---|---|
+| `orb` | FAST corners ranked by Harris | no | the pyramid's | the default: fast, repeats well |
+| `fast` | arcs of 9 to 12 of 16 ring pixels | no | the pyramid's | sharp corners; `keypoints.fast_arc` |
+| `harris` | two strong gradient directions | yes | the pyramid's | repeats best under zoom; exact positions |
+| `moravec` | patches unlike their eight neighbours | yes | the pyramid's | for comparison: the first of its kind |
+| `dog` | blobs, extrema in space and scale (SIFT) | yes | its own | large changes of scale; 1 s and 0.5 GB at 1080p |
+| `mser` | regions that a threshold hardly changes | yes | its own | print, signs, flat shapes; few but distinctive |
+
+Reached by `keypoints.detector`, `keypoints.max_count` and `keypoints.fast_arc`.
+
+Every detector looks at all that it finds, then `spread` keeps the strongest half of the wanted number wherever it lies
+and takes the other half cell by cell from a grid, so that one busy corner of the picture does not get them all.
+(`orb` spreads its strongest 2 `max_count`, as OpenCV stops there.) Orientation is the direction to the intensity
+centroid (`centroid_orientation`; for regions of any size `scaled_orientation`), for `dog` the histogram's peak.
+
+How often keypoints are found again, beside OpenCV's own detectors, with time and memory: `docs/repeatability.md`.
+
+Notes 4.2.1 to 4.2.4 and 4.3.1; Harris & Stephens 1988, Moravec 1980, Rosten & Drummond 2006, Lowe 2004, Matas et al.
+2002, Rublee et al. 2011. The angle is measured from x towards y, clockwise as seen.
+"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices, Mask, Points
@@ -80,12 +80,16 @@ def on_level(keypoints: Keypoints, level: Level) -> Corners:
     return Corners(level.from_full(keypoints.xy), keypoints.scale / level.scale, keypoints.angle, keypoints.response)
 
 
-def _as_choice(which: Indices | Mask, count: int) -> Indices | Mask:
-    which = np.asarray(which)
-    if which.ndim == 1 and which.dtype.kind == "b" and len(which) == count:
-        return which
-    if which.ndim != 1 or which.dtype.kind not in "iu":
-        raise ShapeError(f"which: shape {which.shape} {which.dtype}; need (M,) integers or ({count},) bool")
-    if len(which) and not -count <= int(which.min()) <= int(which.max()) < count:
-        raise ShapeError(f"which: {which.min()} to {which.max()}; need 0 to {count - 1}")
-    return which
+def _as_choice(which: ArrayLike, count: int) -> Indices | Mask:
+    """Return `which` as a mask of `count`, or as indices below it."""
+    try:
+        chosen = np.asarray(which)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"which: {error}; need numbers") from None
+    if chosen.ndim == 1 and chosen.dtype.kind == "b" and len(chosen) == count:
+        return np.asarray(chosen, bool)
+    if chosen.ndim != 1 or chosen.dtype.kind not in "iu":
+        raise ShapeError(f"which: shape {chosen.shape} {chosen.dtype}; need (M,) integers or ({count},) bool")
+    if len(chosen) and not -count <= int(chosen.min()) <= int(chosen.max()) < count:
+        raise ShapeError(f"which: {chosen.min()} to {chosen.max()}; need 0 to {count - 1}")
+    return np.asarray(chosen, np.intp)

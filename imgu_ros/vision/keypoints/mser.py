@@ -64,7 +64,7 @@ def detect_mser(image: Image, max_count: int) -> Corners:
 
     Notes
     -----
-    Peak memory on 1920x1080: 300 MB.
+    Peak memory on 1920x1080, a photograph: 180 MB.
     """
     image = as_image(image, dtypes=(np.uint8,))
     regions = find_regions(image)

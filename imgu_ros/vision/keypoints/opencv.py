@@ -24,7 +24,14 @@ def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, wi
     found : cv2.KeyPoint objects
     sigma_per_size : sigma of the structure as a share of the detector's `size`
     with_angle : whether the detector's `angle` (degrees, 0 to 360) means anything
+
+    Raises
+    ------
+    ShapeError
+        If `sigma_per_size` is not a positive number.
     """
+    if not 0 < sigma_per_size < _LARGEST_PX:
+        raise ShapeError(f"sigma_per_size: {sigma_per_size}; need above 0, below {_LARGEST_PX:g}")
     rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], np.float64).reshape(-1, 5)
     angle = np.radians(rows[:, 3]) if with_angle else np.zeros(len(rows))
     return Corners(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.keypoints.orientation import centroid_orientation
+from imgu_ros.vision.keypoints.orientation import centroid_orientation, scaled_orientation
 
 
 def by_definition(image, x, y, radius):
@@ -86,3 +86,31 @@ def test_bad_input_is_refused():
     ):
         with pytest.raises(ShapeError):
             centroid_orientation(picture, np.array(xy))
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.5, 4.0, 9.0, 23.0])
+def test_scaled_discs_follow_the_structure(scale):
+    """A half-plane of light through each point: its direction is the normal, at every size."""
+    y, x = np.mgrid[:400, :440]
+    for degrees in (-160, -75, 0, 20, 110):
+        direction = math.radians(degrees)
+        step = np.where(math.cos(direction) * (x - 220.3) + math.sin(direction) * (y - 200.4) > 0, 200, 40)
+        (got,) = scaled_orientation(step.astype(np.uint8), np.array([[220.3, 200.4]]), np.array([scale]))
+        assert abs((got - direction + math.pi) % (2 * math.pi) - math.pi) < math.radians(4)
+
+
+def test_scaled_orientation_of_an_enlarged_picture():
+    picture = np.random.default_rng(2).integers(0, 256, (60, 70), np.uint8)
+    xy = np.array([[20.0, 20.0], [40.2, 30.1], [33.0, 45.0]])
+    enlarged = np.kron(picture, np.ones((4, 4), np.uint8))
+    plain = scaled_orientation(picture, xy, np.full(3, 2.5))
+    larger = scaled_orientation(enlarged, (xy + 0.5) * 4 - 0.5, np.full(3, 10.0))
+    np.testing.assert_allclose(larger, plain, atol=1e-9)
+
+
+def test_scaled_orientation_checks_its_input():
+    image = np.zeros((40, 40), np.uint8)
+    for scale in ([0.0], [-1.0], [math.nan], [1.0, 2.0]):
+        with pytest.raises(ShapeError, match=r"^scale: [^\n]+need[^\n]+$"):
+            scaled_orientation(image, np.array([[3.0, 4.0]]), np.array(scale))
+    assert np.isfinite(scaled_orientation(image, np.array([[3.0, 4.0]]), np.array([1e300]))).all()
