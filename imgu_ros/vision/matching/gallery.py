@@ -11,6 +11,7 @@ from imgu_ros.types import Image, Points, as_matrix
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
 from imgu_ros.vision.matching.metrics import Metric, checked_rows, metric_of_rows
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
+from imgu_ros.vision.matching.places import Places, find_places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,15 +23,13 @@ class Gallery:
     descriptors : (M, D) uint8 or float32, as given
     metric : never auto
     prepared : what comparing with the metric needs of them
-    xy : (M, 2) px where they lie, or None
-    same_place_px : up to how far apart, along x and along y, two of them are at the same place
+    places : where they lie, and which of them at the same place; or None
     """
 
     descriptors: Image
     metric: Metric
     prepared: BinaryRows | NumberRows
-    xy: Points | None
-    same_place_px: float
+    places: Places | None
 
     def __len__(self) -> int:
         return len(self.descriptors)
@@ -49,9 +48,10 @@ def prepare_gallery(
     """
     checked_rows(descriptors, "dst")
     metric = metric_of_rows(descriptors, metric)
+    places = None
     if xy is not None:
-        xy = as_matrix(xy, (len(descriptors), 2), "dst_xy")
+        places = find_places(as_matrix(xy, (len(descriptors), 2), "dst_xy"), same_place_px)
     if not 0 <= same_place_px < np.inf:
         raise ShapeError(f"same_place_px: {same_place_px!r}; need a number >= 0")
     prepared = binary_rows(descriptors) if metric is Metric.HAMMING else number_rows(descriptors, metric)
-    return Gallery(descriptors, metric, prepared, xy, same_place_px)
+    return Gallery(descriptors, metric, prepared, places)

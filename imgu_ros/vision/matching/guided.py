@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from imgu_ros.errors import NoConsensus, ShapeError
-from imgu_ros.types import Floats, Image, Indices, Points, as_points
+from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.nonlinear import Minimiser
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
@@ -68,8 +68,8 @@ def match_guided(
     >>> found.index_dst.tolist()
     [0, 1]
     """
-    gallery = prepare_gallery(dst, metric, as_points(dst_xy, "dst_xy"), same_place_px)
-    return _guided(checked_rows(src, "src"), gallery, src_xy, H_dst_src, radius_px, ratio, mutual)
+    near = _Near(prepare_gallery(dst, metric), _places(dst_xy, dst, "dst_xy"), radius_px, same_place_px, ratio, mutual)
+    return _guided(checked_rows(src, "src"), near, _places(src_xy, src, "src_xy"), normalised_homography(H_dst_src))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,15 +130,16 @@ def guided_homography(
     >>> (H / H[2, 2]).round(6).tolist()[0]
     [1.0, 0.0, 7.0]
     """
-    src_xy, dst_xy = as_points(src_xy, "src_xy"), as_points(dst_xy, "dst_xy")
-    gallery = prepare_gallery(dst, metric, dst_xy, same_place_px=threshold_px)
+    gallery = prepare_gallery(dst, metric)
     checked_rows(src, "src")
+    src_xy, dst_xy = _places(src_xy, src, "src_xy"), _places(dst_xy, dst, "dst_xy")
+    near = _Near(gallery, dst_xy, 2 * threshold_px, threshold_px, ratio, mutual=True)
     if min_inliers < 5 or max_rounds < 1:
         raise ShapeError(f"min_inliers, max_rounds: {min_inliers}, {max_rounds}; need at least 5 and 1")
     H, before, rounds = normalised_homography(start), None, 0
     while rounds < max_rounds:
         rounds += 1
-        matches = _guided(src, gallery, src_xy, H, 2 * threshold_px, ratio, mutual=True)
+        matches = _guided(src, near, src_xy, H)
         a, b = src_xy[matches.index_src], dst_xy[matches.index_dst]
         agree = np.flatnonzero(_distance_px(H, a, b) <= threshold_px)
         if len(agree) < min_inliers:
@@ -156,25 +157,31 @@ def guided_homography(
     )
 
 
-def _guided(
-    src: Image, gallery: Gallery, src_xy: ArrayLike, H: ArrayLike, radius_px: float, ratio: float, mutual: bool
-) -> Matches:
-    dst, places = gallery.descriptors, gallery.xy
-    assert places is not None
-    src_xy = as_points(src_xy, "src_xy")
-    for name, xy in (("src_xy", src_xy), ("dst_xy", places)):
-        if len(xy) and not np.abs(xy).max() < _LARGEST_PX:
-            raise ShapeError(f"{name}: up to {np.abs(xy).max():g}; need less than {_LARGEST_PX:g} px")
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """What is matched to, and when it counts as near; as in `match_guided`."""
+
+    gallery: Gallery
+    xy: Points
+    radius_px: float
+    same_place_px: float
+    ratio: float
+    mutual: bool
+
+
+def _guided(src: Image, near: _Near, src_xy: Points, H: Matrix3) -> Matches:
+    dst, prepared = near.gallery.descriptors, near.gallery.prepared
     require_comparable(src, dst.shape[1], dst.dtype.type)
-    if len(src_xy) != len(src):
-        raise ShapeError(f"src_xy: {len(src_xy)} points; need {len(src)}, one for each row")
-    if not 0 <= radius_px < _LARGEST_PX or not ratio > 0:
-        raise ShapeError(f"radius_px, ratio: {radius_px!r}, {ratio!r}; need 0 to {_LARGEST_PX:g}, and more than 0")
-    neighbours = _neighbours(src_xy, places, normalised_homography(H), radius_px)
+    for name, distance_px in (("radius_px", near.radius_px), ("same_place_px", near.same_place_px)):
+        if not 0 <= distance_px < _LARGEST_PX:
+            raise ShapeError(f"{name}: {distance_px!r}; need 0 to {_LARGEST_PX:g}")
+    if not near.ratio > 0:
+        raise ShapeError(f"ratio: {near.ratio!r}; need a number > 0")
+    neighbours = _neighbours(src_xy, near.xy, H, near.radius_px)
     distance = np.concatenate(
         [np.zeros(0)]
         + [
-            gallery.prepared.distances(src[neighbours.src[some]], neighbours.dst[some])
+            prepared.distances(src[neighbours.src[some]], neighbours.dst[some])
             for some in (slice(k, k + _CHUNK) for k in range(0, len(neighbours.src), _CHUNK))
         ]
     )
@@ -183,20 +190,29 @@ def _guided(
     rows, first, group = np.unique(i, return_index=True, return_inverse=True)
     nearest, best = j[first], distance[first]
     # The pairs of a row follow each other, nearest first: the first one elsewhere is the rival.
-    apart = np.flatnonzero(np.abs(places[j] - places[nearest[group]]).max(axis=1, initial=0) > gallery.same_place_px)
+    apart = np.flatnonzero(np.abs(near.xy[j] - near.xy[nearest[group]]).max(axis=1, initial=0) > near.same_place_px)
     rivalled, rival = np.unique(group[apart], return_index=True)
     second = np.full(len(rows), np.inf)
     second[rivalled] = distance[apart[rival]]
     quotient = np.where(np.isfinite(second), 1.0, 0.0)
     np.divide(best, second, out=quotient, where=np.isfinite(second) & (second > 0))
-    kept = quotient < ratio if ratio < 1 else np.ones(len(rows), bool)
-    if mutual:
-        least = np.full(len(places), np.inf)
+    kept = quotient < near.ratio if near.ratio < 1 else np.ones(len(rows), bool)
+    if near.mutual:
+        least = np.full(len(near.xy), np.inf)
         np.minimum.at(least, j, distance)
         kept &= least[nearest] == best
     kept = np.flatnonzero(kept)
     kept = kept[np.lexsort((rows[kept], best[kept], quotient[kept]))]
     return Matches(rows[kept], nearest[kept], best[kept])
+
+
+def _places(xy: ArrayLike, rows: Image, name: str) -> Points:
+    xy = as_points(xy, name)
+    if len(xy) != len(rows):
+        raise ShapeError(f"{name}: {len(xy)} points; need {len(rows)}, one for each row")
+    if len(xy) and not np.abs(xy).max() < _LARGEST_PX:
+        raise ShapeError(f"{name}: up to {np.abs(xy).max():g}; need less than {_LARGEST_PX:g} px")
+    return xy
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,7 +36,7 @@ class BinaryRows:
     chunks: tuple[NDArray[np.float32], ...]
 
     def tables(self, src: Image) -> Iterator[NDArray[Any]]:
-        """Yield how many more bits agree than differ, D - 2 Hamming, for all pairs; by blocks of successive rows.
+        """Yield how many more bits agree than differ, for all pairs; by blocks of successive rows.
 
         Parameters
         ----------
@@ -44,7 +44,8 @@ class BinaryRows:
 
         Yields
         ------
-        (n, M) int16 (int32 where D >= 2^15), the n sum up to N. The next block overwrites it. O(N M D).
+        (n, M) int16 (int32 where D >= 2^14) of D - 2 Hamming, and 256 more for each chunk. The n sum up to N. The
+        next block overwrites it. O(N M D).
         """
         require_comparable(src, self.rows.shape[1], np.uint8)
         pairs, bits = (len(self.rows) + 1) // 2, 8 * self.rows.shape[1]
@@ -52,8 +53,7 @@ class BinaryRows:
         height = max(1, min(len(src), _BLOCK_ELEMENTS // max(1, 2 * pairs)))
         at_once = height * max(1, _PRODUCT_ELEMENTS // max(1, height * pairs))
         both = np.empty((height, pairs), "<i4")
-        table = np.empty((height, 2 * pairs), "<i2" if bits < 2**15 else "<i4")
-        added = np.tile(np.array([_CHUNK_BITS, 0], "<i2"), pairs)
+        table = np.empty((height, 2 * pairs), "<i2" if bits < 2**14 else "<i4")
         for start in range(0, len(src), height):
             some = slice(start % at_once, start % at_once + height)
             if not some.start:
@@ -64,10 +64,14 @@ class BinaryRows:
             n = len(products[0][some])
             for index, product in enumerate(products):
                 np.copyto(both[:n], product[some], casting="unsafe")
-                if index == 0:
-                    np.subtract(both[:n].view("<i2"), added, out=table[:n])
+                # The lower numbers have their 256 by the last column of the operands; here the upper ones get theirs.
+                both[:n] += _CHUNK_BITS * 2**16
+                if len(products) == 1:
+                    table = both.view("<i2")
+                elif index == 0:
+                    table[:n] = both[:n].view("<i2")
                 else:
-                    table[:n] += both[:n].view("<i2") - added
+                    table[:n] += both[:n].view("<i2")
             yield table[:n, : len(self.rows)]
 
     def distances(self, src: Image, index: Indices) -> Floats:

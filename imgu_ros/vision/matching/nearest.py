@@ -131,18 +131,11 @@ def _rivals(table: NDArray[Any], nearest: Indices, gallery: Gallery) -> Indices:
     The table is overwritten.
     """
     none = np.iinfo(table.dtype).min if table.dtype.kind == "i" else -np.inf
-    rival = nearest.copy()
-    same = np.arange(len(nearest))
-    # Few neighbours lie at the same place: crossing them out one by one is faster than comparing all places.
-    while len(same):
-        table[same, rival[same]] = none
-        rest = table if len(same) == len(table) else table[same]
-        rival[same] = rest.argmax(axis=1)
-        exhausted = table[same, rival[same]] == none
-        rival[same[exhausted]] = -1
-        same = same[~exhausted]
-        if gallery.xy is None:
-            break
-        apart = np.abs(gallery.xy[rival[same]] - gallery.xy[nearest[same]]).max(axis=1)
-        same = same[apart <= gallery.same_place_px]
-    return rival
+    rows = np.arange(len(nearest))
+    if gallery.places is None:
+        table[rows, nearest] = none
+    else:
+        same = gallery.places.at(nearest)
+        table[same.asked, same.point] = none
+    rival = table.argmax(axis=1)
+    return np.where(table[rows, rival] == none, -1, rival)

@@ -23,6 +23,7 @@ from imgu_ros.vision.matching.metrics import (
 from imgu_ros.vision.matching.nearest import match, match_to_gallery
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
 from imgu_ros.vision.matching.patches import ncc, ssd, zmssd
+from imgu_ros.vision.matching.places import Places, find_places
 
 
 def match_numbers(src: Image, dst: Image, dst_xy: ArrayLike, ratio: float) -> Matches:
@@ -109,6 +110,8 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "src": numbers(rng, 4),
         "index": rng.integers(0, 5, 4),
     },
+    find_places: lambda rng: {"xy": places(rng, 9), "radius_px": 20.0},
+    Places.at: lambda rng: {"self": find_places(places(rng, 9), 20.0), "points": rng.integers(0, 9, 4)},
     ssd: lambda rng: {"a": rng.uniform(size=(3, 4)), "b": rng.uniform(size=(3, 4))},
     zmssd: lambda rng: {"a": rng.uniform(size=(3, 4)), "b": rng.uniform(size=(3, 4))},
     ncc: lambda rng: {"a": rng.uniform(size=(3, 4)), "b": rng.uniform(size=(3, 4))},

@@ -121,7 +121,8 @@ def test_bits_in_blocks_and_of_any_length(rng, n, m, columns, placed):
         got, _ = check(src, dst, "hamming", 0.9, True, xy)
         tables = np.concatenate([table.copy() for table in hamming.binary_rows(dst).tables(src)])
         check(src[:, :2].astype(np.float32), dst[:, :2].astype(np.float32), "euclidean", 0.9, True, xy)
-    expected = [[8 * columns - 2 * distance_by_definition(a, b, "hamming") for b in dst] for a in src]
+    added = 256 * -(-columns // 32)
+    expected = [[added + 8 * columns - 2 * distance_by_definition(a, b, "hamming") for b in dst] for a in src]
     np.testing.assert_array_equal(tables, expected)
     assert all(a.is_integer() for a in got.distance.tolist())
 

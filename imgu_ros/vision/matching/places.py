@@ -1,0 +1,91 @@
+"""Which points of a set lie at the same place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Indices, Points, as_points
+from imgu_ros.vision.matching.metrics import require_index
+
+#: Most pairs that are kept; points so dense are compared anew each time.
+_MOST_PAIRS = 2**22
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """Pairs, (K,) indices each: the point that was asked for, and one at its place."""
+
+    asked: Indices
+    point: Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """M points and who is near whom.
+
+    Attributes
+    ----------
+    xy : (M, 2) px
+    radius_px : up to how far apart, along x and along y, two points are at the same place
+    near : points at the place of point 0, then of point 1, ...; None where they would be too many to keep
+    start : (M + 1,) where the ones of each point start in `near`
+    """
+
+    xy: Points
+    radius_px: float
+    near: Indices | None
+    start: Indices
+
+    def at(self, points: Indices) -> Neighbours:
+        """Return all points at the place of each of `points`, (N,), themselves included; `asked` is 0 to N - 1.
+
+        Raises
+        ------
+        ShapeError
+            If they are no (N,) indices of points.
+        """
+        require_index(points, points.size if isinstance(points, np.ndarray) else 0, len(self.xy))
+        if self.near is None:
+            apart = np.abs(self.xy[points, None] - self.xy).max(axis=2)
+            return Neighbours(*np.nonzero(apart <= self.radius_px))
+        count = self.start[points + 1] - self.start[points]
+        first = np.cumsum(count) - count
+        place = np.arange(count.sum()) + np.repeat(self.start[points] - first, count)
+        return Neighbours(np.repeat(np.arange(len(points)), count), self.near[place])
+
+
+def find_places(xy: Points, radius_px: float) -> Places:
+    """Find for each of (M, 2) points those up to `radius_px` >= 0 away along x and along y.
+
+    Raises
+    ------
+    ShapeError
+        If the points are not finite, or the radius is negative or not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> places = find_places([[0, 0], [9, 0], [3, -3]], radius_px=3.0)
+    >>> places.at(np.array([2])).point.tolist()
+    [0, 2]
+    """
+    xy = as_points(xy, "xy")
+    if not 0 <= radius_px < np.inf:
+        raise ShapeError(f"radius_px: {radius_px!r}; need a number >= 0")
+    # Differences of such numbers stay finite.
+    if len(xy) and not np.abs(xy).max() < _LARGEST:
+        raise ShapeError(f"xy: up to {np.abs(xy).max():g}; need less than {_LARGEST:g}")
+    tree = cKDTree(xy)
+    if len(xy) and tree.count_neighbors(tree, radius_px, p=np.inf) > _MOST_PAIRS:
+        return Places(xy, radius_px, None, np.zeros(0, np.intp))
+    pairs = tree.sparse_distance_matrix(tree, radius_px, p=np.inf, output_type="ndarray")
+    order = np.lexsort((pairs["j"], pairs["i"]))
+    start = np.searchsorted(pairs["i"][order], np.arange(len(xy) + 1))
+    return Places(xy, radius_px, pairs["j"][order].astype(np.intp), start.astype(np.intp))
+
+
+_LARGEST = 1e300
