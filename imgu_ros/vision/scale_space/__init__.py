@@ -13,9 +13,9 @@ sigma_f^2. A pyramid keeps each octave at half the size of the one before.
 
 The kernels, and which to take:
 
-- `sampled`: fastest up to sigma 5 px or so. Below 0.8 px its variance falls short of sigma^2.
+- `sampled`: fastest up to sigma 5 to 10 px. Below 0.8 px its variance falls short of sigma^2.
 - `discrete`: exact at any sigma; T(., s) * T(., t) = T(., s + t). For small steps of scale, as between fine levels.
-- `recursive`: about as long for sigma 50 as for sigma 1; 0.03 % of its peak off the Gaussian. For sigma above 5 px.
+- `recursive`: about as long for sigma 50 as for sigma 1; 0.03 % of its peak off the Gaussian. For sigma above 10 px.
 
 **In the chain**: `pyramid.kind` (`coarse`, `fine`, `laplacian`), `pyramid.kernel` (`sampled`, `discrete`, `recursive`),
 `pyramid.levels`, `pyramid.scales_per_octave`, `pyramid.max_side_px`; `preprocess.smoothing_px` smooths beforehand.

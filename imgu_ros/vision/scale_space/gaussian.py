@@ -42,7 +42,7 @@ def smooth(
     image : (H, W) or (H, W, 3), uint8, uint16 or float32
     sigma : px, 0 to 1000. The sampled kernel reaches 4 sigma, 3 sigma for uint8; the discrete one until 1e-5 lies
         beyond, 2e-3 for uint8; the recursive one reaches on for ever
-    kernel : how the Gaussian is made discrete. Sampled is the fastest up to sigma 5 or so, recursive beyond; discrete
+    kernel : how the Gaussian is made discrete. Sampled is the fastest up to sigma 5 to 10, recursive beyond; discrete
         is exact below sigma 0.8, where the sampled one's variance falls short
     border, value : what stands outside the image
 
