@@ -18,10 +18,14 @@ Bands, and which way to take: `mean` when all bands show the scene alike; `weigh
 `principal_component` when they differ, and it is not known how (a band may be the negative of another: the mean would
 cancel); `spectral_angle` when a material is sought by its spectrum, whatever its brightness.
 
-**In the chain**: `demosaic.method`; `raw.black_level`, `raw.white_level`, `raw.significant_bits` (0: automatic gain by
-percentiles, as for infrared pictures), `raw.gains`; `raw.bands`, `raw.band_mode`, `raw.band_weights`,
-`raw.reference_spectrum`. **Simulated** by `imgu simulate --bits --full-well --read-noise --black-level --exposure-ms
---row-time-us --defocus-px --f-number --focus-m --ev`.
+Demosaicking, in dB on the Kodak and the McMaster photographs (mean CPSNR): `bilinear` 30.3 and 32.3, for greys and for
+speed; `edge_aware` 30.4 and 32.4; `malvar` 36.0 and 34.1, colour at video rate; `hamilton_adams` 37.4 and 34.4; `menon`
+39.5 and 33.7, for the finest patterns of dull colours; `residual` 39.9 and 36.1, for all else when time matters less.
+
+**In the chain**: `demosaic.method` (also `imgu demosaic --method`); `raw.black_level`, `raw.white_level`,
+`raw.significant_bits` (0: automatic gain by percentiles, as for infrared pictures), `raw.gains`; `raw.bands`,
+`raw.band_mode`, `raw.band_weights`, `raw.reference_spectrum`. **Simulated** by `imgu simulate --bits --full-well
+--read-noise --black-level --exposure-ms --row-time-us --defocus-px --f-number --focus-m --ev`.
 
 Sources: notes 1.1 to 1.3; Szeliski 2022, 2.2 and 2.3; EMVA Standard 1288; Kruse et al. 1993 (spectral angle).
 """

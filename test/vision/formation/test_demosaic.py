@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
+from imgu_ros.vision.formation.cfa import BayerPattern, mosaic, site_mask
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.demosaicking import strips
 
@@ -96,6 +96,23 @@ def test_malvar_follows_its_equations(pattern, dtype):
     for shape in ((2, 2), (3, 4), (9, 8)):
         raw = random_raw(shape, dtype, 1)
         np.testing.assert_allclose(demosaic(raw, pattern, "malvar"), malvar_by_definition(raw, pattern), atol=0.51)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_edge_aware_green_follows_the_weaker_gradient(pattern, dtype):
+    raw = random_raw((13, 16), dtype, 7)
+    got, e = demosaic(raw, pattern, "edge_aware"), mirrored(raw)
+    expected = bilinear_by_definition(raw, pattern)
+    for row, column in zip(*np.nonzero(~site_mask(raw.shape, pattern, "g")), strict=True):
+        left, right, up, down = (e[row + 2 + dy, column + 2 + dx] for dy, dx in ((0, -1), (0, 1), (-1, 0), (1, 0)))
+        horizontal, vertical = abs(left - right), abs(up - down)
+        means = [np.mean(pair) for pair in ((left, right), (up, down))]
+        found = float(got[row, column, 1])
+        if horizontal == vertical:  # either will do
+            means = sorted(means, key=lambda mean: abs(mean - found))
+        expected[row, column, 1] = means[0] if horizontal <= vertical else means[1]
+    np.testing.assert_allclose(got, expected, atol=0.76)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

@@ -28,11 +28,12 @@ def demosaic_residual(raw: Image, pattern: BayerPattern) -> Image:
     """Reconstruct colour by residual interpolation: slower than the others, and good on vivid and dull colours alike.
 
     One colour is upsampled under the guidance of another: about each site a straight line is fitted through both
-    colours' values, the lines are averaged, and what they leave at the measured sites, the residual, is interpolated
-    linearly. Residuals are smoother than the colour differences that other methods interpolate, and no fixed relation
-    of the colours is assumed. First green and the other colour guide each other along rows and along columns;
-    the resulting colour differences to all four sides are averaged, weighted by how little they vary. Then green
-    guides red and blue, by the lines between their Laplacians.
+    colours' values, the lines are averaged, and what they leave at the measured sites, the residual, is
+    interpolated linearly. Residuals are smoother than the colour differences that other methods interpolate, and no
+    fixed relation of the colours is assumed; only patterns near the finest that a mosaic can hold are better left
+    to Menon's method. First green and the other colour guide each other along rows and along columns; the resulting
+    colour differences to all four sides are averaged, weighted by how little they vary. Then green guides red and
+    blue, by the lines between their Laplacians.
 
     Parameters
     ----------
