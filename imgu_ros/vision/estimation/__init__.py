@@ -1,0 +1,31 @@
+"""From measurements with errors, some of them wrong, to a model and its covariance.
+
+| what is given | use |
+|---|---|
+| equations linear in the unknowns | `least_squares`, with a covariance of the noise where it is known |
+| linear, with errors on both sides | `total_least_squares`; `homogeneous_least_squares` for A x = 0 |
+| points near a line, at any angle | `fit_line` |
+| pairs of directions, one set turned | `align_directions` |
+| residuals and their derivative | `minimise`: Levenberg-Marquardt, Gauss-Newton or steepest descent |
+| measurements of which some are wrong | `ransac` with a model; then `minimise`, perhaps with a robust loss |
+
+**Minimising.** A problem gives its residuals, their derivative and what a step does (`LeastSquaresProblem`), so that
+rotations and homographies step on their own surfaces. Levenberg-Marquardt is the choice for nearly all; Gauss-Newton
+saves nothing but the damping; steepest descent needs tens of times as many steps and is here to be compared.
+Every `Minimum` tells its iterations, and `propagated_covariance` turns it into a covariance of the parameters.
+
+**Consensus.** A model draws hypotheses from samples, tells errors, and refits (`RobustModel`): `LineModel`,
+`DirectionsModel`, `HomographyModel` of the projective chapter, `ProjectionModel` of the camera's. Two scores:
+`truncated` (MSAC) is fast and right where a third or more of the points agree; `biweight` looks 8/3 thresholds far,
+fits the most promising hypotheses of each batch by weight, draws again where a sample gives no hypothesis, and so
+finds few inliers among many wrong matches, at several times the cost. It depends less on the threshold.
+
+**PROSAC** (`sampler="prosac"`) takes points sorted best first, samples the best before the others, and stops by the
+share of inliers among the best: often within its first 16 samples where uniform sampling takes thousands.
+
+Robust losses: `huber` (convex), `cauchy`, `tukey` (an outlier loses all weight; needs a good start).
+
+In the chain: `homography.sampler`, `homography.score`, `homography.threshold_px`, `homography.confidence`,
+`homography.max_iterations`, `homography.min_inliers`, `homography.error`, `homography.refine`.
+Notes: 7.1 to 7.3 and 7.5, 7.6; Hartley & Zisserman 2004, chapters 4 and 5, appendices 5 and 6.
+"""

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
-from imgu_ros.vision.projective.dlt import homography_dlt, normalisation
+from imgu_ros.vision.projective.dlt import design_matrix, homography_dlt, normalisation
 from imgu_ros.vision.projective.transform import normalised_homography, transform
 
 H_TRUE = normalised_homography([[0.9, -0.3, 220.0], [0.25, 1.1, 40.0], [2e-4, -1e-4, 1.0]])
@@ -85,3 +85,26 @@ def test_normalisation_centres_and_scales() -> None:
     mapped = transform(normalisation(points), points)
     assert_allclose(mapped.mean(axis=0), 0, atol=1e-12)
     assert np.hypot(*mapped.T).mean() == pytest.approx(np.sqrt(2))
+
+
+def test_normalised_beats_unnormalised() -> None:
+    """HZ section 4.4.4: far from the origin, noise makes the plain DLT several times worse."""
+    plain, normalised = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        src = rng.uniform(1500, 1700, (12, 2))
+        dst = transform(H_TRUE, src)
+        noisy = dst + rng.normal(0, 0.5, dst.shape)
+        h = np.linalg.svd(design_matrix(src, noisy).reshape(-1, 9))[2][-1].reshape(3, 3)
+        for H, errors in ((h, plain), (homography_dlt(src, noisy), normalised)):
+            errors.append(np.sqrt(((transform(H, src) - dst) ** 2).sum(axis=1).mean()))
+    assert np.median(normalised) < 0.8
+    assert np.median(plain) > 1.5 * np.median(normalised)
+
+
+def test_bad_weights() -> None:
+    for weights in ([1, 1, 1, -1], [1, 1, 1], [1, 1, 1, np.nan]):
+        with pytest.raises(ShapeError, match="weights"):
+            homography_dlt(SQUARE, SQUARE + 1, weights)
+    with pytest.raises(ShapeError, match="need less"):
+        homography_dlt(SQUARE * 1e200, SQUARE)
