@@ -37,6 +37,7 @@ PROMISED = """
     reference targets.images targets.widths_m targets.names targets.poses image_transport image_topic camera_info_topic
     camera.rectified autostart publish_tf path.max_length seed demosaic.method raw.black_level raw.white_level
     raw.significant_bits raw.gains raw.bands pyramid.kind pyramid.kernel pyramid.levels pyramid.scales_per_octave
+    preprocess.brightness preprocess.contrast preprocess.gamma preprocess.equalisation preprocess.threshold
     keypoints.detector keypoints.max_count descriptor.kind matching.metric matching.ratio matching.mutual
     homography.sampler homography.threshold_px homography.confidence homography.max_iterations homography.error
     homography.refine refinement.enabled tracking.enabled pose.ambiguity_ratio
