@@ -18,7 +18,7 @@ CHOICES = [{"keypoints.detector": name} for name in declaration("keypoints.detec
     ids=lambda choice: "-".join(map(str, choice.values())),
 )
 def test_the_target_is_found_with_every_detector(choice, target_images, one_target_frames):
-    parameters = parameters_from({**choice, "tracking.enabled": False, "keypoints.max_count": 300})
+    parameters = parameters_from({**choice, "tracking.enabled": False, "keypoints.max_count": 800})
     targets = prepare_targets(target_images[:1], parameters)
     chain = Chain(parameters, targets)
     for simulated in one_target_frames[:1]:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image
 
-_NEIGHBOURS_BEFORE = np.array([[1, 1, 1], [1, 0, 0], [0, 0, 0]], np.uint8)
+_SQUARE = np.ones((3, 3), np.uint8)
+#: Of the eight neighbours, those that come first in reading order: (dy, dx).
+_BEFORE = ((-1, -1), (-1, 0), (-1, 1), (0, -1))
 #: A peak half-way between pixels, and a little further when rounding or an oblique shape adds to it, is believed.
 _MAX_OFFSET_PX = 0.75
 
@@ -63,11 +65,13 @@ def find_peaks(response: Image, quality: float, border: int) -> Peaks:
         raise ShapeError(f"quality, border: {quality}, {border}; need 0 to 1, and at least 1")
     if min(response.shape) <= 2 * border:
         return Peaks(np.zeros((0, 2)), np.zeros(0))
-    after = np.ascontiguousarray(_NEIGHBOURS_BEFORE[::-1, ::-1])
-    peak = (response > cv2.dilate(response, _NEIGHBOURS_BEFORE)) & (response >= cv2.dilate(response, after))
-    peak &= response > max(quality * float(response.max()), 0.0)
+    peak = (response >= cv2.dilate(response, _SQUARE)) & (response > max(quality * float(response.max()), 0.0))
     peak[:border] = peak[-border:] = peak[:, :border] = peak[:, -border:] = False
     rows, columns = np.nonzero(peak)
+    first = np.ones(len(rows), bool)
+    for dy, dx in _BEFORE:
+        first &= response[rows, columns] > response[rows + dy, columns + dx]
+    rows, columns = rows[first], columns[first]
     xy = np.column_stack((columns, rows)).astype(np.float64)
     return Peaks(xy + _parabola_offset(response, rows, columns), response[rows, columns].astype(np.float64))
 

@@ -155,10 +155,8 @@ def test_fast_refuses_such_thresholds(threshold):
 
 
 @pytest.mark.parametrize("window", [1, 3, 5, 9])
-@pytest.mark.parametrize("shape", [(21, 18), (5, 30), (2, 1)])
+@pytest.mark.parametrize("shape", [(21, 18), (5, 30)])
 def test_moravec_by_the_definition(window, shape):
-    if window // 2 + 1 >= 2 * min(shape) - 1:
-        pytest.skip("numpy's and OpenCV's mirrors agree where they are asked once")
     image = np.random.default_rng(4).integers(0, 256, shape, np.uint8)
     np.testing.assert_allclose(moravec_response(image, window), moravec_by_definition(image, window), atol=2e-6)
 
