@@ -17,6 +17,9 @@ from imgu_ros.types import Choice, Floats, as_matrix
 from imgu_ros.vision.estimation.linear import shape_of
 from imgu_ros.vision.estimation.losses import Loss
 
+#: A nearly undamped step that promises to lower the cost by less than this share, and fails, has met rounding.
+_ROUNDING = 1e-12
+
 
 class Minimiser(Choice):
     """Methods of minimisation."""
@@ -150,12 +153,13 @@ def minimise(
                     raise
                 new_weights, new_cost = weights, math.inf  # out of the problem's domain: a step too long
             accepted = new_cost <= cost or not guarded
-            small = float(delta @ normal @ delta) <= tolerance**2
+            length = float(delta @ normal @ delta)
+            small = length <= tolerance**2
             if accepted:
                 converged = small or abs(cost - new_cost) <= enough * cost
                 estimate, current, weights, cost = moved, trial, new_weights, new_cost
                 caution = max(caution / 10, 1e-12) if guarded else 0.0
-            elif small or caution > 1e12:
+            elif small or caution > 1e12 or (caution <= 1 and length <= _ROUNDING * cost):
                 converged = True
                 break
             else:
