@@ -43,7 +43,7 @@ def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, wi
 
 
 def require_describable(corners: Corners) -> None:
-    """Raise ShapeError when one of the `corners` cannot be handed to OpenCV: absurd ones make it write out of bounds."""
+    """Raise ShapeError when one of the `corners` cannot be handed to OpenCV: absurd ones make it write astray."""
     xy = as_points(corners.xy, "corners.xy")
     scale, _, _ = (as_matrix(getattr(corners, n), (len(xy),), f"corners.{n}") for n in ("scale", "angle", "response"))
     if len(xy) and not np.abs(xy).max() < _LARGEST_PX:
