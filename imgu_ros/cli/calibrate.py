@@ -115,7 +115,7 @@ def described(calibration: Calibration, found: BoardViews, board: Chessboard) ->
 
 def names_of(calibration: Calibration) -> tuple[str, ...]:
     """Return the names of the parameters, in the order of the covariance."""
-    from imgu_ros.vision.camera.distortion import COEFFICIENT_NAMES
+    from imgu_ros.vision.camera.distortion_model import COEFFICIENT_NAMES
 
     return ("fx", "fy", "cx", "cy", *COEFFICIENT_NAMES[calibration.camera.model])
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Points, as_points
-from imgu_ros.vision.camera.distortion import COEFFICIENTS, DistortionModel, bend_with_derivatives
+from imgu_ros.vision.camera.distortion import bend_with_derivatives
+from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel
 from imgu_ros.vision.camera.pose_problem import point_by_pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3

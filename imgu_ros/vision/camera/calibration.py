@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NotConverged, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Points, as_points
 from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
-from imgu_ros.vision.camera.distortion import COEFFICIENTS, DistortionModel, as_distortion_model
+from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel, as_distortion_model
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.planar_pose import planar_pose_starts
 from imgu_ros.vision.camera.rigid import RigidTransform
@@ -33,9 +33,9 @@ _OUTLIER_RATIO = 3.0
 _OUTLIER_PX = 0.1
 #: The largest share of the focal length that its standard deviation may be.
 _LARGEST_SIGMA = 0.1
-_MAX_STEPS = 100
+_MAX_STEPS = 200
 #: The share of its standard deviation to which every parameter is found, and of the cost by which it is to fall.
-_TOLERANCE = 1e-7
+_TOLERANCE = 1e-6
 #: Smallest diagonal element of the triangular factor of J with columns of unit length.
 _RANK_TOLERANCE = 1e-11
 _LARGEST = 1e9

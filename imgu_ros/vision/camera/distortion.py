@@ -14,36 +14,13 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask, Points, as_points
-
-
-class DistortionModel(StrEnum):
-    """Lens distortion models, named as in sensor_msgs/CameraInfo."""
-
-    PLUMB_BOB = "plumb_bob"
-    RATIONAL_POLYNOMIAL = "rational_polynomial"
-    EQUIDISTANT = "equidistant"
-
-
-#: Number of coefficients of each model.
-COEFFICIENTS = {
-    DistortionModel.PLUMB_BOB: 5,
-    DistortionModel.RATIONAL_POLYNOMIAL: 8,
-    DistortionModel.EQUIDISTANT: 4,
-}
-
-#: The coefficients' names, in order.
-COEFFICIENT_NAMES = {
-    DistortionModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
-    DistortionModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    DistortionModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
-}
+from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 
 _MAX_STEPS = 50
 _TOLERANCE = 1e-13  # normalised image units: below 1e-9 px for any real focal length
@@ -192,38 +169,6 @@ def _checked(
     model = as_distortion_model(model)
     k = as_coefficients(coefficients, model)
     return model, k, as_points(xy, "xy")
-
-
-def as_distortion_model(model: DistortionModel | str) -> DistortionModel:
-    """Return the model of that name; ShapeError lists the names when there is none."""
-    try:
-        return DistortionModel(model)
-    except ValueError:
-        raise ShapeError(f"distortion model: {str(model)!r}; need one of {', '.join(DistortionModel)}") from None
-
-
-def as_coefficients(coefficients: ArrayLike, model: DistortionModel) -> Floats:
-    """Return coefficients as a float64 array of the model's length; those that are not given are 0.
-
-    Raises
-    ------
-    ShapeError
-        If there are too many, or one is not a finite number.
-    """
-    try:
-        raw = np.asarray(coefficients)
-        given = raw.astype(np.float64).ravel() if raw.dtype.kind in "biufO" else None
-    except (TypeError, ValueError, OverflowError):
-        given = None
-    if given is None:
-        raise ShapeError(f"distortion: {type(coefficients).__name__}; need numbers")
-    if len(given) == COEFFICIENTS[model] and np.isfinite(given).all():
-        return given
-    if len(given) > COEFFICIENTS[model] or not np.isfinite(given).all():
-        raise ShapeError(f"distortion: {given.tolist()}; need at most {COEFFICIENTS[model]} finite numbers for {model}")
-    whole = np.zeros(COEFFICIENTS[model])
-    whole[: len(given)] = given
-    return whole
 
 
 def _bend_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:

@@ -13,14 +13,8 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points, as_rows
-from imgu_ros.vision.camera.distortion import (
-    COEFFICIENTS,
-    DistortionModel,
-    as_coefficients,
-    as_distortion_model,
-    bend,
-    unbend,
-)
+from imgu_ros.vision.camera.distortion import bend, unbend
+from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.projection import as_intrinsic_matrix
 
 __all__ = ["COEFFICIENTS", "Camera", "DistortionModel", "make_camera"]

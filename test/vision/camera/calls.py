@@ -14,15 +14,8 @@ from imgu_ros.vision.camera.calibration import calibrate
 from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projection
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
 from imgu_ros.vision.camera.decomposition import decompose_projection, rq
-from imgu_ros.vision.camera.distortion import (
-    DistortionModel,
-    as_coefficients,
-    as_distortion_model,
-    bend,
-    bend_with_derivatives,
-    fold_radius,
-    unbend,
-)
+from imgu_ros.vision.camera.distortion import bend, bend_with_derivatives, fold_radius, unbend
+from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.euler import euler_angles, from_euler
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, planar_poses

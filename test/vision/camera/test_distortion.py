@@ -9,15 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.camera.distortion import (
-    COEFFICIENT_NAMES,
-    COEFFICIENTS,
-    DistortionModel,
-    bend,
-    bend_with_derivatives,
-    fold_radius,
-    unbend,
-)
+from imgu_ros.vision.camera.distortion import bend, bend_with_derivatives, fold_radius, unbend
+from imgu_ros.vision.camera.distortion_model import COEFFICIENT_NAMES, COEFFICIENTS, DistortionModel
 from imgu_ros.vision.camera.intrinsics import make_camera
 
 LENSES = {
