@@ -53,27 +53,7 @@ def demosaic_menon(raw: Image, pattern: BayerPattern) -> Image:
 
 def _missing(q: Quads) -> Missing:
     red, green, verde, blue = q.red, q.green_by_red, q.green_by_blue, q.blue
-    # Colour less green with green along rows and along columns, and the direction in which it varies less.
-    red_row = _less_green(q, red, green.at(0, -1), green.at(), _RIGHT)
-    red_column = _less_green(q, red, verde.at(-1), verde.at(), _DOWN)
-    blue_row = _less_green(q, blue, verde.at(), verde.at(0, 1), _RIGHT)
-    blue_column = _less_green(q, blue, green.at(), green.at(1), _DOWN)
-    red_across, red_along = _variation(q, red_row, _RIGHT), _variation(q, red_column, _DOWN)
-    blue_across, blue_along = _variation(q, blue_row, _RIGHT), _variation(q, blue_column, _DOWN)
-    in_row_at_red = cv2.compare(
-        _about(q, red_across, _RIGHT, blue_across.at(-1, -1), blue_across.at(0, -1)),
-        _about(q, red_along, _DOWN, blue_along.at(-1, -1), blue_along.at(-1, 0)),
-        cv2.CMP_LE,
-    )
-    in_row_at_blue = cv2.compare(
-        _about(q, blue_across, _RIGHT, red_across.at(), red_across.at(1)),
-        _about(q, blue_along, _DOWN, red_along.at(), red_along.at(0, 1)),
-        cv2.CMP_LE,
-    )
-    red_less, blue_less = red_column, blue_column
-    red_less.take(red_row.at(), in_row_at_red)
-    blue_less.take(blue_row.at(), in_row_at_blue)
-
+    (red_less, in_row_at_red), (blue_less, in_row_at_blue) = _decided(q)
     # Red less blue at every site, from that at the nearest greens.
     by_red, by_blue = _by_greens(q, red_less, blue_less)
     opponent, verdant = q.difference(by_red[0].at(), by_red[1].at()), q.difference(by_blue[0].at(), by_blue[1].at())
@@ -115,6 +95,32 @@ def _missing(q: Quads) -> Missing:
     )
 
 
+def _decided(q: Quads) -> tuple[tuple[Field, Values], tuple[Field, Values]]:
+    """Return red, and blue, less green at their own sites, each with where (0 or 255) green came from the row."""
+    red, green, verde, blue = q.red, q.green_by_red, q.green_by_blue, q.blue
+    # Colour less green with green along rows and along columns, and the direction in which it varies less.
+    red_row = _less_green(q, red, green.at(0, -1), green.at(), _RIGHT)
+    red_column = _less_green(q, red, verde.at(-1), verde.at(), _DOWN)
+    blue_row = _less_green(q, blue, verde.at(), verde.at(0, 1), _RIGHT)
+    blue_column = _less_green(q, blue, green.at(), green.at(1), _DOWN)
+    red_across, red_along = _variation(q, red_row, _RIGHT), _variation(q, red_column, _DOWN)
+    blue_across, blue_along = _variation(q, blue_row, _RIGHT), _variation(q, blue_column, _DOWN)
+    in_row_at_red = cv2.compare(
+        _about(q, red_across, _RIGHT, blue_across.at(-1, -1), blue_across.at(0, -1)),
+        _about(q, red_along, _DOWN, blue_along.at(-1, -1), blue_along.at(-1, 0)),
+        cv2.CMP_LE,
+    )
+    in_row_at_blue = cv2.compare(
+        _about(q, blue_across, _RIGHT, red_across.at(), red_across.at(1)),
+        _about(q, blue_along, _DOWN, red_along.at(), red_along.at(0, 1)),
+        cv2.CMP_LE,
+    )
+    red_less, blue_less = red_column, blue_column
+    red_less.take(red_row.at(), in_row_at_red)
+    blue_less.take(blue_row.at(), in_row_at_blue)
+    return (red_less, in_row_at_red), (blue_less, in_row_at_blue)
+
+
 def _less_green(q: Quads, color: Field, first: Values, second: Values, step: tuple[int, int]) -> Field:
     """Return colour less green; green by the filter (-1 2 2 2 -1) / 4 (equation 2)."""
     out = q.sum(color.at(-step[0], -step[1]), color.at(*step))
@@ -129,7 +135,9 @@ def _less_green(q: Quads, color: Field, first: Values, second: Values, step: tup
 
 def _variation(q: Quads, difference: Field, step: tuple[int, int]) -> Field:
     """Return the absolute difference from each site to the next (equations 5 and 6)."""
-    return q.keep(cv2.absdiff(difference.at(), difference.at(*step)).reshape(-1))
+    out = q.difference(difference.at(), difference.at(*step))
+    np.abs(out.at(), out=out.at())
+    return out
 
 
 def _about(q: Quads, own: Field, step: tuple[int, int], *other: Values) -> Values:
@@ -171,4 +179,4 @@ def _mean(q: Quads, in_row: tuple[Values, ...], in_column: tuple[Values, ...], w
     return out
 
 
-_RECIPE = Recipe(_missing, reach=7, shift=1, scale=1, integer=False)
+_RECIPE = Recipe(_missing, reach=6, shift=1, scale=1, integer=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -96,48 +97,48 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
 def _develop(strip: Image, recipe: Recipe, out: Image) -> None:
     """Write the colours of a strip that starts at a red site, without its rim, to `out`."""
     height, width = strip.shape[0] // 2, strip.shape[1] // 2
-    dtype = np.dtype(np.int16 if recipe.integer and strip.dtype == np.uint8 else np.float32)
-    planes = [plane for row in (0, 1) for plane in cv2.split(strip[row::2].reshape(height, width, 2))]
+    # Pairs of 16-bit integers are made rows of bytes in the order of little-endian machines.
+    integer = recipe.integer and strip.dtype == np.uint8 and sys.byteorder == "little"
+    dtype = np.dtype(np.int16 if integer else np.float32)
     fields = []
-    for plane in planes:
-        fields.append(Field(height, width, recipe.shift, dtype))
-        np.copyto(fields[-1].at(), plane.reshape(-1))
+    for row in (0, 1):
+        for plane in cv2.split(strip[row::2].reshape(height, width, 2)):
+            fields.append(Field(height, width, recipe.shift, dtype))
+            np.copyto(fields[-1].at(), plane.reshape(-1))
     red, green_by_red, green_by_blue, blue = fields
     top = float(np.iinfo(strip.dtype).max)
-    found = recipe.missing(Quads(red, green_by_red, green_by_blue, blue, height, width, recipe.shift, dtype, top))
-    _interleave(planes, found, recipe, out)
+    q = Quads(red, green_by_red, green_by_blue, blue, height, width, recipe.shift, dtype, top)
+    found = recipe.missing(q)
+    upper = (red, found.red_by_red), (found.green_at_red, green_by_red), (found.blue_at_red, found.blue_by_red)
+    lower = (found.red_by_blue, found.red_at_blue), (green_by_blue, found.green_at_blue), (found.blue_by_blue, blue)
+    row_of = _row_of_integers if integer else _row
+    for first, pairs in enumerate((upper, lower)):
+        rows = [row_of(even, odd, fields, recipe, out.dtype) for even, odd in pairs]
+        cv2.merge(rows, dst=out[first::2])
 
 
-def _interleave(planes: Sequence[Image], found: Missing, recipe: Recipe, out: Image) -> None:
-    rim = recipe.reach
-    red, green_by_red, green_by_blue, blue = (plane[rim:-rim, rim:-rim] for plane in planes)
-
-    def row(*pair: Image | Field) -> Image:
-        even, odd = (_rounded(p, recipe, out.dtype) if isinstance(p, Field) else p for p in pair)
-        return cv2.merge([even, odd]).reshape(len(even), -1)
-
-    upper = (
-        row(red, found.red_by_red),
-        row(found.green_at_red, green_by_red),
-        row(found.blue_at_red, found.blue_by_red),
-    )
-    cv2.merge(upper, dst=out[0::2])
-    lower = (
-        row(found.red_by_blue, found.red_at_blue),
-        row(green_by_blue, found.green_at_blue),
-        row(found.blue_by_blue, blue),
-    )
-    cv2.merge(lower, dst=out[1::2])
+def _row_of_integers(
+    even: Field, odd: Field, measured: Sequence[Field], recipe: Recipe, dtype: np.dtype[np.generic]
+) -> Image:
+    """Return the 8-bit rows of two fields of integers: the even values become low bytes, the odd ones high bytes."""
+    for field in (even, odd):
+        if field not in measured:
+            values = field.at()
+            values += np.int16(recipe.scale // 2)
+            values >>= recipe.scale.bit_length() - 1
+            np.clip(values, 0, 255, out=values)
+    both = odd.at()
+    both <<= 8
+    both |= even.at()
+    return odd.inside(recipe.reach).view(np.uint8)
 
 
-def _rounded(field: Field, recipe: Recipe, dtype: np.dtype[np.generic]) -> Image:
-    """Return the values without their scale and rim, rounded and clamped to the range of the data type."""
-    values = field.at()
-    if values.dtype == np.int16:
-        values += np.int16(recipe.scale // 2)
-        values >>= recipe.scale.bit_length() - 1
-        np.clip(values, 0, 255, out=values)
-        return field.inside(recipe.reach).astype(np.uint8)
-    # Scales, rounds and saturates in one pass.
-    inside, depth = field.inside(recipe.reach), cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
-    return cv2.addWeighted(inside, 1 / recipe.scale, inside, 0.0, 0.0, dtype=depth)
+def _row(even: Field, odd: Field, measured: Sequence[Field], recipe: Recipe, dtype: np.dtype[np.generic]) -> Image:
+    """Return the rows of two fields of real numbers."""
+    depth = cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
+    planes: list[Image] = []
+    for field in (even, odd):
+        inside, factor = field.inside(recipe.reach), 1.0 if field in measured else 1 / recipe.scale
+        # Scales, rounds and saturates in one pass.
+        planes.append(cv2.addWeighted(inside, factor, inside, 0.0, 0.0, dtype=depth))
+    return cv2.merge(planes).reshape(len(planes[0]), -1)
