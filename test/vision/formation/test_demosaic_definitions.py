@@ -156,7 +156,7 @@ def residual(raw, pattern):
         change = 9 * mean(change, *grid((-1, 0, 1), (-1, 0, 1)))
         weight = 1 / np.maximum(change, p.top / 510) ** 2
         for step in pair:
-            taps = np.exp(-np.arange(4) ** 2 / 2)
+            taps = np.exp(-(np.arange(4) ** 2) / 2)
             side = sum(tap * at(difference, k * step[0], k * step[1]) for k, tap in enumerate(taps)) / taps.sum()
             differences.append(side)
             weights.append(at(weight, 2 * step[0], 2 * step[1]))
