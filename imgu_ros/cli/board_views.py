@@ -23,7 +23,7 @@ from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 _RECORDINGS = {".bag", ".mcap", ".db3", ".zstd"}
 _IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".bmp"}
 #: Pictures on which other sizes of the board are tried when none was found.
-_KEPT_FOR_HINT = 3
+_KEPT_FOR_HINT = 2
 #: Of a bag's pictures in which the quick detector finds nothing, one in so many goes through the slow one.
 _THOROUGH_EVERY = 5
 _NO_BOARD = "no board found"
@@ -177,7 +177,7 @@ def _other_size(grey: Image, board: Chessboard) -> Chessboard | None:
     ]
     for columns, rows in sorted(sizes, key=lambda size: -size[0] * size[1]):
         other = Chessboard(columns, rows, board.square_m)
-        if find_chessboard(grey, other, thorough=False) is not None:
+        if find_chessboard(grey, other, quick=False) is not None:
             return other
     return None
 

@@ -123,7 +123,7 @@ def test_bad_input_is_one_line(pictures: Path, tmp_path: Path, capsys: pytest.Ca
     views = [pictures / f"view{index}.png" for index in range(COUNT)]
     cases: list[tuple[list[object], str]] = [
         ([blank], "no 7x5 board found in 1 pictures"),
-        ([*views, "--board", "8x6"], "but a 7x5 one; need --board with the number of inner corners"),
+        ([views[0], "--board", "8x6"], "but a 7x5 one; need --board with the number of inner corners"),
         (views[:2], "views: 2 different ones of the 7x5 board; need 3"),
         ([views[0], views[0], views[0]], "views: 1 different ones of the 7x5 board; need 3; 2 x like another view"),
         ([text], "none of 1 pictures can be read"),

@@ -51,7 +51,7 @@ class Chessboard:
         return np.column_stack((x.ravel(), y.ravel())).astype(np.float64) * self.square_m
 
 
-def find_chessboard(grey: Image, board: Chessboard, *, thorough: bool = True) -> Points | None:
+def find_chessboard(grey: Image, board: Chessboard, *, quick: bool = True, thorough: bool = True) -> Points | None:
     """Find all inner corners of a board.
 
     OpenCV's two detectors find the board in a reduced picture; the corners are then refined in the full one by the
@@ -61,7 +61,8 @@ def find_chessboard(grey: Image, board: Chessboard, *, thorough: bool = True) ->
     ----------
     grey : (H, W) uint8
     board : what to look for
-    thorough : try the slower, sector-based detector (Duda & Frese 2018) when the quick one finds nothing
+    quick : try the quick detector first; in OpenCV 4 it takes seconds to say no to a board of another size
+    thorough : try the slower, sector-based detector (Duda & Frese 2018) when nothing was found so far
 
     Returns
     -------
@@ -83,7 +84,7 @@ def find_chessboard(grey: Image, board: Chessboard, *, thorough: bool = True) ->
         small = cv2.resize(grey, shape, interpolation=cv2.INTER_AREA)
     if min(small.shape) < 3 * min(size):
         return None
-    found = _quick(small, size)
+    found = _quick(small, size) if quick else None
     if found is None and thorough:
         found = _thorough(small, size)
     if found is None:
