@@ -20,6 +20,8 @@ os.environ.pop("ROS_STATIC_PEERS", None)
 # rclpy writes logs: not into the user's home.
 _LOGS = tempfile.mkdtemp(prefix="imgu_test_logs_")
 os.environ["ROS_LOG_DIR"] = _LOGS
+# As the `imgu` command does, and before numpy is imported: small matrices gain nothing from a second BLAS thread.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Plots are drawn into files, never on a screen.
 os.environ["MPLBACKEND"] = "Agg"
 
