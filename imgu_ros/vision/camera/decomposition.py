@@ -31,6 +31,10 @@ class CameraParts:
 def decompose_projection(P: ArrayLike) -> CameraParts:
     """Return K, R and t of a camera matrix, of any scale and sign.
 
+    Parameters
+    ----------
+    P : (3, 4)
+
     Raises
     ------
     DegenerateConfiguration

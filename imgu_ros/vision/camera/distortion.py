@@ -46,7 +46,7 @@ class Bent:
 
 
 def bend(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> tuple[Points, Floats]:
-    """Distort ideal normalised points, (N, 2); also return the derivative by them, (N, 2, 2).
+    """Distort ideal normalised points `xy`, (N, 2); also return the derivative by them, (N, 2, 2).
 
     Raises
     ------
@@ -67,7 +67,7 @@ def bend(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -
 
 
 def bend_with_derivatives(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> Bent:
-    """As `bend`, with the derivative by the coefficients as well, as calibration needs it."""
+    """As `bend`, of the same `model`, `coefficients` and `xy`, with the derivative by the coefficients as well."""
     model, k, xy = _checked(model, coefficients, xy)
     bent, by_xy = bend(model, k, xy)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -123,7 +123,7 @@ def unbend(model: DistortionModel | str, coefficients: ArrayLike, bent: ArrayLik
 def fold_radius(model: DistortionModel | str, coefficients: ArrayLike) -> float:
     """Return the ideal radius r = tan(theta) at which the radial part stops growing; inf when it never does.
 
-    Beyond it the model is no lens any more: two rays share one pixel, and there is no inverse.
+    Beyond it a model with these `coefficients` is no lens any more: two rays share one pixel, there is no inverse.
 
     Examples
     --------

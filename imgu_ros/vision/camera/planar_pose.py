@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
-from imgu_ros.types import Floats, Points, as_matrix, as_points
+from imgu_ros.types import Floats, as_matrix, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_problem import PoseProblem
@@ -24,6 +24,11 @@ from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import minimise
 from imgu_ros.vision.projective.estimate import require_spread
 
+#: A second solution is refuted when it starts with this many times the first one's error.
+_REFUTED = 5.0
+#: Of a parameter's standard deviation at 1 px noise: a step this small is followed by one of its square.
+_TOLERANCE = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarPoses:
@@ -31,8 +36,9 @@ class PlanarPoses:
 
     Attributes
     ----------
-    solutions : one or two refined poses camera_from_plane, best first
-    ambiguity : best / second-best RMS reprojection error, 0 (clear) to 1; 0 when there is one solution
+    solutions : one or two refined poses camera_from_plane, best first; a second one that is refuted clearly, by five
+        times the error, is left out
+    ambiguity : best / second-best RMS reprojection error, 0 (clear) to 1; 0 when only one pose lies before the camera
     """
 
     solutions: tuple[Pose, ...]
@@ -76,10 +82,18 @@ def planar_poses(
     normalized, valid = camera.undistort(pixels)
     require_spread(normalized[valid], "pixels")
     among_valid = None if correlation is None else correlation[np.ix_(valid, valid)]
-    refined = []
+    refined: list[Pose] = []
+    refuted_px = math.inf
+    problem = PoseProblem(plane_xy[valid], pixels[valid], camera)
+    # OpenCV gives the better start first: most second ones need no refinement to be told wrong.
     for start in planar_pose_starts(plane_xy[valid], normalized[valid]):
         try:
-            refined.append(_refined(plane_xy[valid], pixels[valid], camera, start, noise_px, among_valid))
+            if refined:
+                start_px = _rms(problem.residuals(start.matrix))
+                if start_px > _REFUTED * refined[0].rms_px:
+                    refuted_px = start_px
+                    continue
+            refined.append(_refined(problem, start, noise_px, among_valid))
         except EstimationError:
             continue  # a start behind the camera or at a grazing angle is no solution
     if not refined:
@@ -89,8 +103,8 @@ def planar_poses(
     refined.sort(key=lambda pose: pose.rms_px)
     if len(refined) > 1 and _same(refined[0], refined[1]):
         refined = refined[:1]
-    ambiguity = refined[0].rms_px / refined[1].rms_px if len(refined) > 1 and refined[1].rms_px > 0 else 0.0
-    return PlanarPoses(tuple(refined), ambiguity)
+    second_px = refined[1].rms_px if len(refined) > 1 else refuted_px
+    return PlanarPoses(tuple(refined), refined[0].rms_px / second_px if second_px > 0 else 0.0)
 
 
 def planar_pose_starts(plane_xy: ArrayLike, normalized: ArrayLike) -> list[RigidTransform]:
@@ -126,20 +140,14 @@ def planar_pose_starts(plane_xy: ArrayLike, normalized: ArrayLike) -> list[Rigid
     return starts
 
 
-def _refined(
-    plane_xy: Points,
-    pixels: Points,
-    camera: Camera,
-    start: RigidTransform,
-    noise_px: float | None,
-    correlation: Floats | None,
-) -> Pose:
-    estimate = np.eye(4)
-    estimate[:3, :3], estimate[:3, 3] = start.R, start.t
-    minimum = minimise(PoseProblem(plane_xy, pixels, camera), estimate, max_iterations=30)
+def _refined(problem: PoseProblem, start: RigidTransform, noise_px: float | None, correlation: Floats | None) -> Pose:
+    minimum = minimise(problem, start.matrix, max_iterations=30, tolerance=_TOLERANCE)
     R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
-    rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
-    return Pose(R, t, propagated_covariance(minimum, noise_px, correlation), rms)
+    return Pose(R, t, propagated_covariance(minimum, noise_px, correlation), _rms(minimum.linearisation.residuals))
+
+
+def _rms(residuals: Floats) -> float:
+    return math.sqrt(float((residuals**2).mean()))
 
 
 def _same(a: Pose, b: Pose) -> bool:

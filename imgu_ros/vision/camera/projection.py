@@ -90,7 +90,7 @@ def camera_centre(P: ArrayLike) -> Floats:
 def depths(P: ArrayLike, world: ArrayLike) -> Floats:
     """Return each point's distance from the principal plane, (N,), positive in front (HZ equation 6.15).
 
-    It is in metres when P = c K [R | t] with K[2, 2] = 1, whatever the sign and size of c.
+    With `world`, (N, 3), in metres it is in metres when P = c K [R | t] with K[2, 2] = 1, whatever c is.
 
     Raises
     ------
@@ -139,7 +139,13 @@ def finite_camera(P: ArrayLike) -> Floats:
 
 
 def as_intrinsic_matrix(K: ArrayLike, name: str = "K") -> Floats:
-    """Return K as float64 when it is upper triangular with K[2, 2] = 1 and positive focal lengths; else ShapeError."""
+    """Return K as float64 when it is upper triangular with K[2, 2] = 1 and positive focal lengths.
+
+    Raises
+    ------
+    ShapeError
+        Otherwise; it calls K by `name`.
+    """
     matrix = as_matrix(K, (3, 3), name)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[1, 0] == 0 and np.array_equal(matrix[2], (0, 0, 1))):
         raise ShapeError(f"{name}: {matrix.tolist()}; need [[fx > 0, s, cx], [0, fy > 0, cy], [0, 0, 1]]")

@@ -27,6 +27,13 @@ class RigidTransform:
     R: Matrix3
     t: Floats
 
+    @property
+    def matrix(self) -> Floats:
+        """The homogeneous matrix, (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.R, self.t
+        return matrix
+
     def after(self, first: RigidTransform) -> RigidTransform:
         """Return the transform that applies `first`, then this one."""
         return RigidTransform(self.R @ first.R, self.R @ first.t + self.t)
@@ -46,7 +53,7 @@ def rigid_transform(numbers: ArrayLike, name: str = "transform") -> RigidTransfo
     Raises
     ------
     ShapeError
-        If they are not seven finite numbers, or the quaternion is zero.
+        If they are not seven finite numbers, or the quaternion is zero; it calls them by `name`.
     """
     values = as_matrix(numbers, (7,), name)
     if np.abs(values[3:]).max() < _SHORTEST_QUATERNION:

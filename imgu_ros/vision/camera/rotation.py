@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -31,7 +33,15 @@ def exp_so3(vector: ArrayLike) -> Matrix3:
     vector = as_matrix(vector, (3,), "vector")
     if np.abs(vector).max() > _LONGEST_VECTOR:
         raise ShapeError(f"vector: {vector.tolist()}; need radians, at most {_LONGEST_VECTOR:g}")
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix(), np.float64)
+    angle = math.sqrt(float(vector @ vector))
+    # R = I + sin(a) / a [v]x + (1 - cos(a)) / a^2 [v]x^2 (Rodrigues), both quotients without cancellation.
+    sine, versine = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > 1e-150 else (1.0, 0.5)
+    x, y, z = vector.tolist()
+    turn = sine * np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    square = np.array(
+        [[-(y * y) - z * z, x * y, x * z], [x * y, -(x * x) - z * z, y * z], [x * z, y * z, -(x * x) - y * y]]
+    )
+    return np.asarray(np.eye(3) + turn + versine * square, np.float64)
 
 
 def log_so3(R: ArrayLike) -> Floats:
@@ -57,7 +67,7 @@ def quaternion(R: ArrayLike) -> Floats:
 
 
 def from_quaternion(q: ArrayLike) -> Matrix3:
-    """Return the rotation of a quaternion (x, y, z, w), which is normalised first. ShapeError when it is zero."""
+    """Return the rotation of a quaternion q = (x, y, z, w), which is normalised first. ShapeError when it is zero."""
     q = as_matrix(q, (4,), "q")
     largest = float(np.abs(q).max())
     if largest == 0:
@@ -72,7 +82,7 @@ def as_rotation(R: ArrayLike, name: str = "R") -> Matrix3:
     Raises
     ------
     ShapeError
-        If it is not (3, 3), not finite, not orthonormal to 1e-5, or a reflection.
+        If it is not (3, 3), not finite, not orthonormal to 1e-5, or a reflection; it calls R by `name`.
     """
     R = as_matrix(R, (3, 3), name)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -89,7 +99,8 @@ def nearest_rotation(matrix: ArrayLike, name: str = "matrix") -> Matrix3:
     Raises
     ------
     ShapeError
-        If the matrix is not (3, 3) and finite, or so nearly singular that the rotation is not determined.
+        If the matrix is not (3, 3) and finite, or so nearly singular that the rotation is not determined; it calls the
+        matrix by `name`.
     """
     matrix = as_matrix(matrix, (3, 3), name)
     largest = float(np.abs(matrix).max())

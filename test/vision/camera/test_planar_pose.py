@@ -5,10 +5,11 @@ import contextlib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, TooFewPoints
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
-from imgu_ros.vision.camera.planar_pose import planar_poses
+from imgu_ros.vision.camera.planar_pose import planar_pose_starts, planar_poses
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
 
 K = np.array([[900.0, 0, 641.5], [0, 880.0, 350.25], [0, 0, 1]])
@@ -79,6 +80,34 @@ def test_both_solutions_of_an_ambiguous_view_are_kept_and_one_is_right() -> None
     assert min(errors) < 8
     assert max(errors) > 25
     assert poses.solutions[0].rms_px <= poses.solutions[1].rms_px
+
+
+@pytest.mark.parametrize("tilt", [10.0, 30.0, 60.0])
+@pytest.mark.parametrize("distance", [0.5, 1.5, 5.0])
+def test_a_second_solution_is_left_out_only_when_it_is_clearly_worse(tilt: float, distance: float) -> None:
+    R, t = view(tilt, distance)
+    pixels = seen(grid(), R, t, PINHOLE) + np.random.default_rng(2).normal(0, 0.1, (81, 2))
+    poses = planar_poses(grid(), pixels, PINHOLE)
+
+    def residuals(vector: np.ndarray) -> np.ndarray:
+        points = grid() @ exp_so3(vector[:3])[:, :2].T + vector[3:]
+        return (
+            (points[:, :2] / points[:, 2:] * np.diag(K)[:2] + K[:2, 2] - pixels).ravel()
+            if points[:, 2].min() > 0
+            else behind
+        )
+
+    behind = np.full(162, 1e6)
+    minima = []
+    for start in planar_pose_starts(grid(), PINHOLE.undistort(pixels)[0]):
+        found = least_squares(residuals, np.r_[log_so3(start.R), start.t], x_scale="jac", xtol=1e-14)
+        minima.append(np.sqrt(2 * found.cost / 162))
+    assert poses.solutions[0].rms_px == pytest.approx(min(minima), rel=1e-6)
+    if len(poses.solutions) == 2:
+        assert poses.ambiguity == pytest.approx(min(minima) / max(minima), rel=1e-4)
+    elif max(minima) > min(minima) * (1 + 1e-6):  # another minimum than the first
+        assert poses.ambiguity < 0.25
+        assert min(minima) / max(minima) < 0.3
 
 
 def test_degenerate_input() -> None:
