@@ -27,12 +27,14 @@ def test_examples_run(module: ModuleType) -> None:
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__.removeprefix("imgu_ros.vision."))
 def test_every_parameter_is_described(module: ModuleType) -> None:
+    missing = []
     for name, function in vars(module).items():
         if name.startswith("_") or not inspect.isfunction(function) or function.__module__ != module.__name__:
             continue
         text = inspect.getdoc(function) or ""
-        missing = [p for p in inspect.signature(function).parameters if not re.search(rf"\b{re.escape(p)}\b", text)]
-        assert not missing, f"{name}: {', '.join(missing)}"
+        parameters = inspect.signature(function).parameters
+        missing += [f"{name}: {p}" for p in parameters if not re.search(rf"\b{re.escape(p)}\b", text)]
+    assert missing == []
 
 
 def test_there_are_examples_in_every_chapter() -> None:

@@ -55,7 +55,8 @@ def describe_sift(image: Image, corners: Corners) -> Described:
 def describe_rootsift(image: Image, corners: Corners) -> Described:
     """Describe as `describe_sift`, then take the square root of each L1-normalised row: unit Euclidean norm.
 
-    Euclidean distances between such rows are Hellinger distances between the histograms.
+    Euclidean distances between such rows are Hellinger distances between the histograms. `image` and `corners` are
+    those of `describe_sift`.
     """
     described = describe_sift(image, corners)
     total = described.descriptors.sum(axis=1, keepdims=True)

@@ -157,7 +157,8 @@ def ransac(
 def iterations_needed(inlier_share: float, sample_size: int, confidence: float) -> int:
     """Return how many samples give one free of outliers with the wanted probability (notes 7.5; HZ equation 4.18).
 
-    K = log(1 - p) / log(1 - r^m); 1 when all points are inliers, and 2^62 when none is.
+    K = log(1 - p) / log(1 - r^m), r `inlier_share`, m `sample_size`, p `confidence`; 1 when all points are inliers,
+    and 2^62 when none is.
 
     Raises
     ------

@@ -40,11 +40,17 @@ def prepare_gallery(
 ) -> Gallery:
     """Prepare descriptors for `match_to_gallery`; the parameters are those of `match`.
 
+    Parameters
+    ----------
+    descriptors : (M, D), uint8 (bits) or float32
+    metric : see `Metric`
+    xy : (M, 2) px where they lie, the `dst_xy` of `match`; None: they have no places
+    same_place_px : up to how far apart, along x and along y, two are at the same place
+
     Raises
     ------
     ShapeError
-        If rows, data type or metric do not fit each other, a row is not finite, or the places are not
-        (M, 2).
+        If rows, data type or metric do not fit each other, a row is not finite, or the places are not (M, 2).
     """
     checked_rows(descriptors, "dst")
     metric = metric_of_rows(descriptors, metric)

@@ -74,6 +74,11 @@ def metric_of_rows(rows: Image, metric: Metric | str = Metric.AUTO) -> Metric:
 def checked_rows(rows: Image, name: str) -> Image:
     """Return descriptors when they are (N, D >= 1) uint8 or finite float32.
 
+    Parameters
+    ----------
+    rows : (N, D)
+    name : what the error calls them
+
     Raises
     ------
     ShapeError
@@ -90,7 +95,7 @@ def checked_rows(rows: Image, name: str) -> Image:
 
 
 def require_comparable(src: Image, columns: int, dtype: type) -> None:
-    """Check descriptors that are to be compared with others of `columns` elements of `dtype`.
+    """Check that the descriptors `src` can be compared with others of `columns` elements of `dtype`.
 
     Raises
     ------
@@ -104,6 +109,10 @@ def require_comparable(src: Image, columns: int, dtype: type) -> None:
 
 def require_index(index: Indices, length: int, count: int) -> None:
     """Check indices into `count` rows, of which there are to be `length`.
+
+    Parameters
+    ----------
+    index : (length,) integers from 0 to count - 1
 
     Raises
     ------

@@ -62,6 +62,12 @@ def match(
 def match_to_gallery(src: Image, gallery: Gallery, ratio: float = 0.85, mutual: bool = True) -> Matches:
     """Match each row of `src` to its nearest row of a gallery; as `match`, for a set that is matched to often.
 
+    Parameters
+    ----------
+    src : (N, D), as the gallery's descriptors
+    gallery : what `prepare_gallery` made
+    ratio, mutual : see `match`
+
     Raises
     ------
     ShapeError

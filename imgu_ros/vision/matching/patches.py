@@ -33,7 +33,7 @@ def ssd(a: ArrayLike, b: ArrayLike) -> float:
 def zmssd(a: ArrayLike, b: ArrayLike) -> float:
     """Return the zero-mean sum of squared differences of two patches: that of the patches less their means.
 
-    An offset of the brightness changes nothing (notes 5.1.2). Parameters and errors as `ssd`.
+    An offset of the brightness changes nothing (notes 5.1.2). The patches `a` and `b`, and errors, as `ssd`.
 
     Examples
     --------
@@ -48,7 +48,7 @@ def ncc(a: ArrayLike, b: ArrayLike) -> float:
     """Return the normalised cross-correlation of two patches, from -1 to 1; 1: equal up to offset and gain.
 
     With the sigmas of the notes, which divide by N - 1, their sum (5.1.3) lies between -(N - 1) and N - 1; here it is
-    divided by N - 1 too. Parameters as `ssd`.
+    divided by N - 1 too. The patches `a` and `b` are as for `ssd`.
 
     Raises
     ------

@@ -61,6 +61,11 @@ class Places:
 def find_places(xy: Points, radius_px: float) -> Places:
     """Find for each of (M, 2) points those up to `radius_px` >= 0 away along x and along y.
 
+    Parameters
+    ----------
+    xy : (M, 2) px
+    radius_px : 0 or more
+
     Raises
     ------
     ShapeError

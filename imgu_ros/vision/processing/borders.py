@@ -77,7 +77,7 @@ def padded(
 
 
 def border_values(dtype: np.dtype[Any], border: Border, value: float) -> tuple[float, ...]:
-    """Return the value outside a picture for each of four channels, as OpenCV takes it.
+    """Return the value outside a picture of type `dtype` for each of four channels, as OpenCV takes it.
 
     Raises
     ------

@@ -113,7 +113,7 @@ def grey_from_rgb(image: Image, weights: ArrayLike = REC601) -> Image:
 
 
 def full_scale(dtype: np.dtype[Any]) -> float:
-    """Return the value of white: 255, 65535, or 1 for floats."""
+    """Return the value of white in pictures of type `dtype`: 255, 65535, or 1 for floats."""
     return float(np.iinfo(dtype).max) if dtype.kind == "u" else 1.0
 
 

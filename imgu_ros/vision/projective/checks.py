@@ -26,7 +26,7 @@ class Pairs:
 
 
 def checked_pairs(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> Pairs:
-    """Return them, checked.
+    """Return a homography (3, 3) and the points src and dst, (N, 2) each, checked.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def checked_pairs(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> Pairs:
 
 
 def finite(values: Floats, name: str) -> Floats:
-    """Return `values`.
+    """Return `values`, which the errors call by `name`.
 
     Raises
     ------

@@ -79,6 +79,8 @@ def symmetric_transfer_error(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> Fl
 def reprojection_error(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> Floats:
     """Return the squared distances to the nearest pair that H maps onto each other, both images, (N,) (HZ 4.8).
 
+    H, src and dst are those of `algebraic_error`.
+
     Raises
     ------
     DegenerateConfiguration
@@ -98,6 +100,8 @@ def reprojection_error(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> Floats:
 
 def sampson_error(H: ArrayLike, src: ArrayLike, dst: ArrayLike) -> Floats:
     """Return the reprojection errors to first order, (N,), without a search: Sampson's (HZ section 4.2.6).
+
+    H, src and dst are those of `algebraic_error`.
 
     Raises
     ------

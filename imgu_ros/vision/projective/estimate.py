@@ -162,7 +162,7 @@ def fit_homography(
 
 
 def require_spread(points: ArrayLike, name: str) -> None:
-    """Raise `DegenerateConfiguration` when points lie (nearly) on a line or coincide.
+    """Raise `DegenerateConfiguration` when points lie (nearly) on a line or coincide; `name` is what it calls them.
 
     Raises
     ------

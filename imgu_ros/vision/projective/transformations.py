@@ -27,7 +27,7 @@ def translation(t: ArrayLike) -> Matrix3:
 
 
 def rotation(angle_rad: float, about: ArrayLike = (0.0, 0.0)) -> Matrix3:
-    """Return the rotation by an angle about a point (notes 6.2.2).
+    """Return the rotation by `angle_rad` about a point (notes 6.2.2).
 
     A positive angle turns x towards y: counter-clockwise with y up as in the notes, clockwise as seen in an image,
     whose y points down.
@@ -44,12 +44,12 @@ def rotation(angle_rad: float, about: ArrayLike = (0.0, 0.0)) -> Matrix3:
 
 
 def euclidean(angle_rad: float, t: ArrayLike) -> Matrix3:
-    """Return x -> R x + t: first the rotation about the origin, then the translation (notes 6.2.3)."""
+    """Return x -> R x + t: first the rotation by `angle_rad` about the origin, then the translation (notes 6.2.3)."""
     return similarity(1.0, angle_rad, t)
 
 
 def similarity(scale: float, angle_rad: float, t: ArrayLike) -> Matrix3:
-    """Return x -> scale R x + t, scale > 0 (notes 6.2.5, HZ 2.8)."""
+    """Return x -> scale R x + t, scale > 0, R the rotation by `angle_rad` (notes 6.2.5, HZ 2.8)."""
     scale, angle = _number(scale, "scale"), _number(angle_rad, "angle_rad")
     if scale <= 0:
         raise ShapeError(f"scale: {scale}; need more than 0")
@@ -116,7 +116,7 @@ def projective(A: ArrayLike, t: ArrayLike, v: ArrayLike) -> Matrix3:
 
 
 def compose(*transformations: ArrayLike) -> Matrix3:
-    """Return the transformation that applies the given ones in their order: first the first.
+    """Return the transformation that applies all `transformations`, (3, 3) each, in their order: first the first.
 
     Returns
     -------
@@ -183,6 +183,8 @@ def cofactors(H: ArrayLike) -> Matrix3:
 
 def require_regular(matrix: ArrayLike, size: int, name: str) -> None:
     """Raise unless a (size, size) matrix is finite and has an inverse, whatever the units of its rows and columns are.
+
+    `name` is what the error calls it.
 
     Raises
     ------

@@ -85,6 +85,10 @@ def laplacian_pyramid(
 def reconstructed(pyramid: LaplacianPyramid) -> Image:
     """Put a picture together again.
 
+    Parameters
+    ----------
+    pyramid : what `laplacian_pyramid` made, bands changed or not
+
     Bit-exact for integer pictures; to one unit in the last place of the largest value for float32. Bands may have been
     changed in between: what leaves an integer type's range is clamped.
 
