@@ -27,7 +27,9 @@ _VIEW_SIDE_PX = 400
 _VIEW_MARGIN_PX = 32
 #: Points that a view is aligned by: the estimate that follows only has to come within reach of the patches.
 _VIEW_POINTS = 100
-_VIEW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+#: Largest window in a view; what is small there is large in the frame.
+_VIEW_WINDOW_PX = 11
+_VIEW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 #: Brightness is measured on every third pixel of every third row of a view.
 _SAMPLED = 3
 #: How far from where it is expected a patch may be found.
@@ -58,7 +60,7 @@ def follow_in_view(
     target : the target
     H : H_image_template in ideal px, right to a few px times 2^lk_levels
     camera : intrinsics when the lens distorts; else None
-    window_px : side of a point's window, px of the view
+    window_px : side of a point's window, px of the view, where it is at most 11
     fewest : least number of points to look for
     lk_levels : image pyramid levels, each doubles the error that is bridged
 
@@ -67,6 +69,7 @@ def follow_in_view(
     NoConsensus
         If too few points are in view.
     """
+    window_px = min(window_px, _VIEW_WINDOW_PX)
     step = _reduction(target, H, grey.shape)
     margin = step * (window_px // 2 + 1)
     expected = expect(

@@ -17,6 +17,9 @@ _MIN_AREA = 1e-4
 #: Nearest to the horizon, where w is 0, that a weighted fit looks.
 _MIN_DEPTH = 1e-3
 
+#: Of the components 0 1 2, the next and the one after it, in a circle.
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
 
 class HomographyModel:
     """Correspondences src -> dst under `WeightedModel`.
@@ -129,9 +132,14 @@ def _squared_distances(H: Floats, columns: Floats, target: Floats) -> Floats:
 def _adjugates(H: Floats) -> Floats:
     """Return the inverses (B, 3, 3) up to positive scale, for det H > 0, without a division."""
     a, b, c = H[:, :, 0], H[:, :, 1], H[:, :, 2]
-    adjugate = np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)
+    adjugate = np.stack((_cross(b, c), _cross(c, a), _cross(a, b)), axis=1)
     norm = np.linalg.norm(adjugate, axis=(1, 2), keepdims=True)
     return np.asarray(adjugate / np.where(norm > 0, norm, 1.0), np.float64)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross products of rows (B, 3); numpy's own costs five times as much for a few rows."""
+    return a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT]
 
 
 def _triangle_areas(quads: Floats) -> Floats:
