@@ -58,6 +58,7 @@ setup(
         # middleware, and importing rclpy fails.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": [
+            "coverage>=7.4",
             "hypothesis>=6.98",
             "mypy>=1.11",
             "pytest>=7.4",

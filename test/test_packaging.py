@@ -145,11 +145,18 @@ def test_imports_are_declared(arguments: dict[str, Any], manifest: ElementTree.E
     assert imported | message_packages(PACKAGE) == keys - rosdep_keys
 
 
+def pinned_extras(arguments: dict[str, Any], file: str) -> list[str]:
+    """Return the optional dependencies that a constraints file pins."""
+    extras = arguments["extras_require"]
+    # The packages that benchmarks/ compares with need a newer NumPy than Jazzy has.
+    return [line for name in extras if (name, file) != ("bench", "constraints-jazzy.txt") for line in extras[name]]
+
+
 @pytest.mark.parametrize("file", CONSTRAINTS)
 @pytest.mark.parametrize("python", PYTHONS)
 def test_everything_is_pinned(arguments: dict[str, Any], file: str, python: str) -> None:
     pinned = pins(file, python)
-    extras = [line for lines in arguments["extras_require"].values() for line in lines]
+    extras = pinned_extras(arguments, file)
     for line in ["setuptools", *arguments["install_requires"], *extras]:
         wanted = Requirement(line)
         version = pinned.get(canonicalize_name(wanted.name))
@@ -159,7 +166,7 @@ def test_everything_is_pinned(arguments: dict[str, Any], file: str, python: str)
 
 @pytest.mark.parametrize("file", CONSTRAINTS)
 def test_dependencies_of_dependencies_are_pinned(arguments: dict[str, Any], file: str) -> None:
-    extras = [line for lines in arguments["extras_require"].values() for line in lines]
+    extras = pinned_extras(arguments, file)
     pinned = pins(file, f"{sys.version_info[0]}.{sys.version_info[1]}")
     needed = set(closure([*arguments["install_requires"], *extras]))
     assert len(needed) > 20
