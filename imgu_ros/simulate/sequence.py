@@ -21,11 +21,11 @@ from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import Scene, arrange_scene, size_of, template_matrix
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import Truth, points_in_image, target_grid
+from imgu_ros.vision.camera.angle_of_view import intrinsic_matrix
 from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
-from imgu_ros.vision.formation.optics import focal_length_for
 from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 
 #: Light on a white surface, as a share of what saturates the sensor, without exposure compensation.
@@ -141,7 +141,7 @@ def default_camera(
     view_rad: float | None = None,
 ) -> Camera:
     """Return a camera `view_rad` wide (61 degrees when None), its principal point a little off the centre."""
-    f = 0.85 * width if view_rad is None else focal_length_for(width, view_rad)
+    f = 0.85 * width if view_rad is None else intrinsic_matrix(width, height, view_rad)[0, 0]
     K = np.array([[f, 0, (width - 1) / 2 + 0.0035 * width], [0, f, (height - 1) / 2 - 0.004 * height], [0, 0, 1]])
     return make_camera(K, distortion, model, width, height)
 

@@ -1,4 +1,4 @@
-"""Focal length and angle of view of a pinhole (notes 1.1.1, 1.1.2, 8.1.3)."""
+"""Focal length and angle of view of a pinhole (notes 1.1.1, 1.1.3, 8.1.3)."""
 
 from __future__ import annotations
 

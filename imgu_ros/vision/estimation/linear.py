@@ -149,7 +149,7 @@ def homogeneous_least_squares(A: ArrayLike) -> Floats:
 
 
 def shape_of(array: ArrayLike, name: str) -> tuple[int, ...]:
-    """Return the shape of `array`, which may be a nested list. ShapeError, by `name`, when it is ragged or no numbers."""
+    """Return the shape of `array`, maybe a nested list. ShapeError, by `name`, when it is ragged or no numbers."""
     if isinstance(array, np.ndarray):
         return tuple(array.shape)
     try:

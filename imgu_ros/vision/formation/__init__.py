@@ -5,7 +5,7 @@ modules model each step, for the simulator, and undo what can be undone, for the
 
 | module | holds | use it when |
 |---|---|---|
-| `optics` | the thin lens: circle of confusion, depth of field; angle of view; the defocused disc | choosing a lens |
+| `optics` | the thin lens: circle of confusion, depth of field; the defocused disc | choosing a lens |
 | `shutter` | exposure value, kernel of motion blur, rows of a rolling shutter and their skew | choosing a shutter |
 | `pixel_array` | size, aspect ratio and pitch of the sensor; focal length in pixels | from a data sheet to K |
 | `sensor` | shot and read noise, amplification, the converter to 8, 10, 12, 14 or 16 bits | making honest raw data |

@@ -1,4 +1,4 @@
-"""A thin lens: angle of view, focus, circle of confusion, depth of field (notes 1.1.3-1.1.4; Szeliski 2022, 2.2.3)."""
+"""A thin lens: focus, circle of confusion, depth of field (notes 1.1.3-1.1.4; Szeliski 2022, 2.2.3)."""
 
 from __future__ import annotations
 
@@ -159,54 +159,6 @@ def depth_of_field(lens: ThinLens, circle_m: float) -> DepthOfField:
     near, far = 1 / lens.focus_m + reach, 1 / lens.focus_m - reach
     # At the hyperfocal distance the two terms are equal but for rounding.
     return DepthOfField(1 / near, 1 / far if far > 1e-12 * reach else math.inf)
-
-
-def angle_of_view(size: float, focal_length: float) -> float:
-    """Return the angle that a length on the sensor sees through a lens focused at infinity: 2 atan(size / 2 f), rad.
-
-    Parameters
-    ----------
-    size : width, height or diagonal of the sensor; > 0
-    focal_length : in the same unit (metres, or pixels as in K); > 0
-
-    Raises
-    ------
-    ShapeError
-        If a value is not positive.
-
-    Examples
-    --------
-    The 36 mm side of a full-frame sensor through a 50 mm lens:
-
-    >>> round(math.degrees(angle_of_view(36.0, 50.0)), 2)
-    39.6
-    """
-    return 2 * math.atan(_positive(size, "size") / (2 * _positive(focal_length, "focal_length")))
-
-
-def focal_length_for(size: float, angle_rad: float) -> float:
-    """Return the focal length with which `size` on the sensor sees an angle; the inverse of `angle_of_view`.
-
-    Parameters
-    ----------
-    size : width, height or diagonal of the sensor, in any unit, which is also the result's; > 0
-    angle_rad : above 0, below pi
-
-    Raises
-    ------
-    ShapeError
-        If the size is not positive or the angle out of range.
-
-    Examples
-    --------
-    A picture 1280 px wide that sees 60 degrees:
-
-    >>> round(focal_length_for(1280.0, math.radians(60)), 2)
-    1108.51
-    """
-    if not 0 < angle_rad < math.pi:
-        raise ShapeError(f"angle_rad: {angle_rad:g}; need more than 0 and less than pi")
-    return _positive(size, "size") / (2 * math.tan(angle_rad / 2))
 
 
 def disc_kernel(diameter_px: float) -> Image:

@@ -11,6 +11,13 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.vision.camera.angle_of_view import angle_of_view, intrinsic_matrix, intrinsic_matrix_of_lens
 
 
+@pytest.mark.parametrize(("focal_mm", "degrees"), [(24.0, 73.7), (50.0, 39.6), (200.0, 10.3)])
+def test_full_frame_lenses(focal_mm: float, degrees: float) -> None:
+    # As makers of lenses state them for 36 mm.
+    view = angle_of_view(intrinsic_matrix_of_lens(3600, 2400, focal_mm * 1e-3, 10e-6), 3600, 2400)
+    assert np.rad2deg(view.horizontal) == pytest.approx(degrees, abs=0.05)
+
+
 def test_full_frame_lens_of_50_mm() -> None:
     # 36 x 24 mm: 39.6 x 27.0 degrees, 46.8 across the diagonal.
     K = intrinsic_matrix_of_lens(3600, 2400, 50e-3, 10e-6)

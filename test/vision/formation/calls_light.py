@@ -8,11 +8,9 @@ from imgu_ros.vision.formation.bands import grey_from_bands, mean_of_bands, prin
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
 from imgu_ros.vision.formation.optics import (
     ThinLens,
-    angle_of_view,
     circle_of_confusion,
     depth_of_field,
     disc_kernel,
-    focal_length_for,
     hyperfocal_distance,
 )
 from imgu_ros.vision.formation.pixel_array import PixelArray
@@ -36,8 +34,6 @@ CALLS = {
     circle_of_confusion: lambda rng: {"lens": LENS, "depth_m": rng.uniform(0.5, 9, (4, 3))},
     depth_of_field: lambda rng: {"lens": LENS, "circle_m": 30e-6},
     hyperfocal_distance: lambda rng: {"focal_length_m": 0.05, "f_number": 8.0, "circle_m": 30e-6},
-    angle_of_view: lambda rng: {"size": 36.0, "focal_length": 50.0},
-    focal_length_for: lambda rng: {"size": 1280.0, "angle_rad": 1.0},
     disc_kernel: lambda rng: {"diameter_px": 3.3},
     # shutter
     Exposure: lambda rng: {"time_s": 0.01, "f_number": 8.0, "iso": 100.0},

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from imgu_ros.errors import ShapeError
 from imgu_ros.vision.formation.optics import (
     ThinLens,
-    angle_of_view,
     circle_of_confusion,
     depth_of_field,
     disc_kernel,
-    focal_length_for,
     hyperfocal_distance,
 )
 
@@ -89,19 +87,6 @@ def test_image_distance_and_magnification():
     assert 1 / lens.image_distance_m + 1 / lens.focus_m == pytest.approx(1 / 0.05)
 
 
-@given(st.floats(1e-3, 1e4), st.floats(1e-3, 1e4))
-def test_angle_of_view_is_that_of_the_pinhole(size, f):
-    angle = angle_of_view(size, f)
-    # A ray at half the angle from the axis lands on the sensor's edge.
-    assert f * math.tan(angle / 2) == pytest.approx(size / 2)
-    assert focal_length_for(size, angle) == pytest.approx(f)
-
-
-@pytest.mark.parametrize(("f", "degrees"), [(24.0, 73.7), (50.0, 39.6), (200.0, 10.3)])
-def test_angles_of_full_frame_lenses(f, degrees):
-    assert math.degrees(angle_of_view(36.0, f)) == pytest.approx(degrees, abs=0.05)
-
-
 @given(st.floats(0, 40))
 def test_disc_kernel(diameter):
     kernel = disc_kernel(diameter).astype(float)
@@ -139,9 +124,6 @@ def test_disc_kernel_counts_area():
         (lambda: circle_of_confusion(ThinLens(0.05, 2.0, 1.0), [1.0, 0.0]), "depth_m: a value is 0"),
         (lambda: depth_of_field(ThinLens(0.05, 2.0, 1.0), 0.0), "circle_m: 0"),
         (lambda: hyperfocal_distance(0.05, 2.0, math.inf), "circle_m: inf"),
-        (lambda: angle_of_view(0.0, 1.0), "size: 0"),
-        (lambda: angle_of_view("36", 1.0), "size: '36'"),
-        (lambda: focal_length_for(1.0, math.pi), "angle_rad: 3.14159"),
         (lambda: disc_kernel(-1.0), "diameter_px: -1; need 0 to 1000 px"),
         (lambda: disc_kernel(math.nan), "diameter_px: nan"),
     ],
