@@ -16,7 +16,7 @@ from pathlib import Path
 from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, BagFormat, record_simulation
 from imgu_ros.bags.replay import replay
 from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.params import parameters_from
+from imgu_ros.parameter_values import parameters_from
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.vision.formation.sensor import Sensor
 

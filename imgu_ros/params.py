@@ -2,15 +2,15 @@
 
 ROS descriptors, parameter files, `imgu params`, `--help` and the reference page are derived from these dataclasses.
 A group of parameters is a frozen dataclass; a parameter is a field made by `parameter`. Its full name joins the
-groups' names by dots (`homography.threshold_px`).
+groups' names by dots (`homography.threshold_px`). `parameter_values` makes them of values that people give, and
+`parameter_checks` says which go together.
 """
 
 from __future__ import annotations
 
 import difflib
-import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from collections.abc import Iterator
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from typing import Any, cast, get_args, get_type_hints
 
@@ -325,13 +325,6 @@ class Parameters:
     pose: PoseParameters = field(default_factory=PoseParameters)
 
 
-#: Names that the interfaces reserve and that no released chain fulfils yet: refused with the reason.
-RESERVED_CHOICES = {("reference", "keyframe"), ("reference", "rotation")}
-
-#: ROS's integers have 64 bits.
-_LARGEST_INTEGER = 2**63 - 1
-_SHOWN_CHARACTERS = 80
-
 _TYPE_NAMES: dict[Any, str] = {
     bool: "bool",
     int: "integer",
@@ -364,53 +357,6 @@ def declaration(name: str) -> Declaration:
     raise ParameterError(f"{name}: unknown parameter; nearest known: {nearest[0]}")
 
 
-def checked_value(name: str, value: object) -> ParameterValue:
-    """Return `value` in the declared type of the parameter `name`.
-
-    An integer serves as a double, and a list or array as an array; nothing else is converted.
-
-    Raises
-    ------
-    ParameterError
-        If the name is unknown, or the value has another type or lies outside its range or choices.
-    """
-    known = declaration(name)
-    if known.type_name.endswith("_array"):
-        element = known.type_name.removesuffix("_array")
-        if not _is_list(value):
-            raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need a list of {element}s")
-        items = list(cast("Iterable[object]", value))
-        return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
-    return cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
-
-
-def parameters_from(values: Mapping[str, object], base: Parameters | None = None) -> Parameters:
-    """Return `base` (the defaults when None) with the named values replaced, all checked, one by one and together.
-
-    Raises
-    ------
-    ParameterError
-        As `checked_value`; and if parallel lists disagree.
-    """
-    result = base or Parameters()
-    for name, value in values.items():
-        checked = checked_value(name, value)
-        result = _replaced(result, name.split("."), checked)
-    _check_together(result)
-    return result
-
-
-def parameter_values(parameters: Parameters) -> dict[str, ParameterValue]:
-    """Return every parameter's value by its full name, in the order of declaration."""
-    values: dict[str, ParameterValue] = {}
-    for known in declarations():
-        value: Any = parameters
-        for part in known.name.split("."):
-            value = getattr(value, part)
-        values[known.name] = value
-    return values
-
-
 def _declarations(group: type, prefix: str) -> Iterator[Declaration]:
     hints = get_type_hints(group)
     for item in fields(group):
@@ -427,129 +373,3 @@ def _declaration(item: Field[Any], hint: Any, prefix: str) -> Declaration:
             f"{prefix}{item.name}: declare it with parameter() and a ROS type, not {get_args(hint) or hint}"
         )
     return Declaration(name=f"{prefix}{item.name}", type_name=_TYPE_NAMES[hint], default=item.default, **item.metadata)
-
-
-def _checked_scalar(name: str, value: object, type_name: str, known: Declaration) -> Any:
-    expected = {"bool": bool, "integer": int, "double": float, "string": str}[type_name]
-    if isinstance(value, str):  # an enumeration's member
-        value = str.__str__(value)
-    elif getattr(value, "ndim", None) == 0 and hasattr(value, "item"):  # a numpy scalar
-        value = value.item()
-    if type_name == "double" and type(value) is int and abs(value) <= _LARGEST_INTEGER:
-        value = float(value)
-    if type(value) is not expected:
-        raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need {_article(type_name)}")
-    if known.choices and value not in known.choices:
-        if (known.name, value) in RESERVED_CHOICES:
-            raise ParameterError(
-                f"{name}: {value!r} is reserved and not available in this version; need {_listed(known.choices)}"
-            )
-        near = difflib.get_close_matches(str(value), known.choices, n=1)
-        raise ParameterError(
-            f"{name}: {_shown(value)}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else "")
-        )
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        low = -math.inf if known.minimum is None else known.minimum
-        high = math.inf if known.maximum is None else known.maximum
-        if not low <= value <= high or value in (-math.inf, math.inf):
-            raise ParameterError(f"{name}: {_shown(value)}; need {_range(known)}")
-    return value
-
-
-def _is_list(value: object) -> bool:
-    if isinstance(value, str | bytes | bytearray | Mapping) or getattr(value, "ndim", 1) == 0:
-        return False
-    return hasattr(value, "__len__") and hasattr(value, "__getitem__")
-
-
-def _shown(value: object) -> str:
-    """Return a value for a message: on one line, and not endless."""
-    if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
-        return f"an integer of {value.bit_length()} bits"
-    text = " ".join(repr(value).split())
-    return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "..."
-
-
-def _range(known: Declaration) -> str:
-    if known.minimum is None or known.maximum is None:
-        limits = [
-            f"{word} {_number(limit)}"
-            for word, limit in (("at least", known.minimum), ("at most", known.maximum))
-            if limit is not None
-        ]
-        text = limits[0] if limits else "a finite number"
-    else:
-        text = f"{_number(known.minimum)} to {_number(known.maximum)}"
-    return f"{text} {known.unit}" if known.unit else text
-
-
-def _number(limit: float) -> str:
-    return str(limit) if isinstance(limit, int) else f"{limit:.15g}"
-
-
-def _article(type_name: str) -> str:
-    return {"bool": "true or false", "integer": "an integer", "double": "a number", "string": "a string"}[type_name]
-
-
-def _listed(choices: tuple[str, ...]) -> str:
-    return " or ".join(repr(c) for c in choices) if len(choices) < 3 else "one of " + ", ".join(choices)
-
-
-def _replaced(group: Any, path: list[str], value: ParameterValue) -> Any:
-    if len(path) > 1:
-        return replace(group, **{path[0]: _replaced(getattr(group, path[0]), path[1:], value)})
-    return replace(group, **{path[0]: value})
-
-
-def _check_together(parameters: Parameters) -> None:
-    targets = parameters.targets
-    count = len(targets.images)
-    for name, values, each in (
-        ("widths_m", targets.widths_m, 1),
-        ("names", targets.names, 1),
-        ("poses", targets.poses, 7),
-    ):
-        if len(values) not in (0, count * each):
-            need = f"none, or {count * each}: {'one' if each == 1 else 'seven'} for each of targets.images"
-            raise ParameterError(f"targets.{name}: {len(values)} values; need {need}")
-    if len(parameters.raw.gains) != 3:
-        raise ParameterError(f"raw.gains: {len(parameters.raw.gains)} values; need 3 (red, green, blue)")
-    black, white = parameters.raw.black_level, parameters.raw.white_level
-    if 0 < white <= black:
-        raise ParameterError(f"raw.white_level: {white:g}; need more than raw.black_level ({black:g})")
-    _check_bands(parameters.raw)
-    preprocess = parameters.preprocess
-    if preprocess.edges != "none" and preprocess.threshold != "none":
-        raise ParameterError(
-            f"preprocess.threshold: {preprocess.threshold!r} leaves steps of one height to preprocess.edges "
-            f"{preprocess.edges!r}, and nothing to tell places apart; need one of the two"
-        )
-    if parameters.keypoints.detector == "dog":
-        # It builds its own scale space, of level 0 alone.
-        for name, value, wrong in (
-            ("pyramid.kind", parameters.pyramid.kind, "laplacian"),
-            ("preprocess.edges", parameters.preprocess.edges, "strength"),
-        ):
-            if value == wrong:
-                raise ParameterError(
-                    f"{name}: {wrong!r} changes every level, and keypoints.detector 'dog' sees the finest one only; "
-                    f"need another detector, or another value"
-                )
-
-
-def _check_bands(raw: RawParameters) -> None:
-    """Refuse a band mode whose weights or reference are missing, or do not go with the chosen bands."""
-    name, values = {
-        "weighted": ("raw.band_weights", raw.band_weights),
-        "spectral_angle": ("raw.reference_spectrum", raw.reference_spectrum),
-    }.get(raw.band_mode, ("", ()))
-    if not name:
-        return
-    if not values:
-        raise ParameterError(f"{name}: none; need one value for each band when raw.band_mode is {raw.band_mode!r}")
-    if raw.bands and len(values) != len(raw.bands):
-        raise ParameterError(f"{name}: {len(values)} values; need {len(raw.bands)}, one for each of raw.bands")
-    if not any(values):
-        raise ParameterError(f"{name}: all 0; need at least one other value")
-    if raw.band_mode == "spectral_angle" and len(values) < 2:
-        raise ParameterError(f"{name}: 1 value; need 2 or more for an angle between spectra")

@@ -19,7 +19,8 @@ from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.pose_files import PoseFiles
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.params import Parameters, parameter_values
+from imgu_ros.parameter_values import parameter_values
+from imgu_ros.params import Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status, TargetResult

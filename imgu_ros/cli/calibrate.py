@@ -196,7 +196,7 @@ def document(calibration: Calibration, found: BoardViews, board: Chessboard) -> 
 
 
 def _parameters(arguments: argparse.Namespace) -> Parameters:
-    from imgu_ros.params import parameters_from
+    from imgu_ros.parameter_values import parameters_from
 
     parameters = parameters_of(arguments)
     return parameters if arguments.topic is None else parameters_from({"image_topic": arguments.topic}, parameters)

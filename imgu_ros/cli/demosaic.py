@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parameters(arguments: argparse.Namespace) -> Parameters:
     """Return the parameters, with the short options over those of -p."""
-    from imgu_ros.params import parameters_from
+    from imgu_ros.parameter_values import parameters_from
 
     short = {
         "demosaic.method": arguments.method,

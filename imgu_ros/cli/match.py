@@ -123,7 +123,7 @@ def document(result: Result) -> dict[str, object]:
 
 
 def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Parameters:
-    from imgu_ros.params import parameters_from
+    from imgu_ros.parameter_values import parameters_from
 
     width = 0.0 if arguments.width_m is None else arguments.width_m
     # The lists are checked together: clear the parallel ones that a parameter file may have set.

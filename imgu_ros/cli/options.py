@@ -42,7 +42,7 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
         If a parameter file cannot be read.
     """
     from imgu_ros.files.parameter_files import parse_override, read_parameter_file
-    from imgu_ros.params import parameters_from
+    from imgu_ros.parameter_values import parameters_from
 
     values: dict[str, object] = dict(extra or {})
     for kind, text in arguments.overrides or ():

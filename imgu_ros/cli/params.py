@@ -26,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the parameters."""
-    from imgu_ros.params import declaration, declarations, parameter_values
+    from imgu_ros.parameter_values import parameter_values
+    from imgu_ros.params import declaration, declarations
 
     parameters = parameters_of(arguments)
     if arguments.yaml:

@@ -10,7 +10,8 @@ import yaml
 
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.yaml_values import parsed_value, parsed_yaml, plain_value
-from imgu_ros.params import Declaration, checked_value, declarations
+from imgu_ros.parameter_values import checked_value
+from imgu_ros.params import Declaration, declarations
 
 _MAX_BYTES = 2**22
 _SECTION = "ros__parameters"

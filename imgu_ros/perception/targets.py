@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.errors import ShapeError
+from imgu_ros.errors import ParameterError, ShapeError
+from imgu_ros.parameter_checks import why_not
 from imgu_ros.params import Parameters
 from imgu_ros.perception.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image, Points
@@ -103,10 +104,14 @@ def prepare_targets(images: Sequence[TargetImage], parameters: Parameters) -> tu
 
     Raises
     ------
+    ParameterError
+        If methods make no sense together.
     ShapeError
-        If a picture is not (H, W) or (H, W, 3) uint8, or has nothing that a keypoint could be found on; if the metric
-        makes no sense for the descriptor.
+        If a picture is not (H, W) or (H, W, 3) uint8, or has nothing that a keypoint could be found on.
     """
+    reason = why_not(parameters)
+    if reason:
+        raise ParameterError(reason)
     return tuple(_prepared(image, parameters) for image in images)
 
 

@@ -17,15 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ParameterError
-from imgu_ros.params import (
-    Declaration,
-    Parameters,
-    ParameterValue,
-    checked_value,
-    declaration,
-    declarations,
-    parameters_from,
-)
+from imgu_ros.parameter_values import checked_value, parameters_from
+from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
 
 #: Values of this group wait for `ParameterServer.reload`.
 STAGED = "targets."

@@ -18,7 +18,8 @@ from imgu_ros.bags.writing import BagWriter
 from imgu_ros.errors import BagError, FileError, ParameterError
 from imgu_ros.files.frames_csv import COLUMNS
 from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.params import Parameters, parameters_from
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import Parameters
 from imgu_ros.perception.result import Stage
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.sequence import Simulation

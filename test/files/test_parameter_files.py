@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.parameter_files import parameter_file_text, parse_override, read_parameter_file
-from imgu_ros.params import Parameters, declarations, parameter_values, parameters_from
+from imgu_ros.parameter_values import parameter_values, parameters_from
+from imgu_ros.params import Parameters, declarations
 
 
 def read(tmp_path, text, node_name="perception"):

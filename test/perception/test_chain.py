@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from imgu_ros.params import parameters_from
+from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import PoseStatus, Result, Stage, Status

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imgu_ros.params import declaration, parameters_from
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import declaration
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import Target
 from imgu_ros.simulate.sequence import SimulatedFrame

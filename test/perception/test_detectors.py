@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from imgu_ros.params import declaration, parameters_from
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import declaration
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import prepare_targets
 from imgu_ros.simulate.truth import corner_error

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imgu_ros.params import parameters_from
+from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.result import Result, Status
 from imgu_ros.perception.targets import Target, TargetImage

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imgu_ros.errors import ShapeError
-from imgu_ros.params import Parameters, parameters_from
+from imgu_ros.errors import ParameterError
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import MatchingParameters, Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.guiding import Guided, guided
@@ -73,12 +74,10 @@ def test_ssd_finds_a_target_of_unchanged_brightness(target_images: tuple[TargetI
     assert corner_error(result.homography.H, np.eye(3), targets[0].outline_template) < 0.5
 
 
-@pytest.mark.parametrize(
-    ("kind", "metric"), [("orb", "cosine"), ("sift", "hamming"), ("patch", "euclidean"), ("rootsift", "ncc")]
-)
-def test_a_senseless_metric_is_refused_at_start(kind: str, metric: str, target_images: tuple[TargetImage, ...]) -> None:
-    parameters = parameters_from({"descriptor.kind": kind, "matching.metric": metric})
-    with pytest.raises(ShapeError, match=rf"^metric {metric}: {kind} is .+; need "):
+def test_senseless_parameters_are_refused_at_start(target_images: tuple[TargetImage, ...]) -> None:
+    """Also when nobody made them by `parameters_from`, which refuses them itself."""
+    parameters = replace(Parameters(), matching=MatchingParameters(metric="cosine"))
+    with pytest.raises(ParameterError, match=r"^matching.metric: 'cosine', and .+; need auto or hamming$"):
         prepare_targets(target_images[:1], parameters)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import DegenerateConfiguration, ParameterError
-from imgu_ros.params import Parameters, PreprocessParameters, parameters_from
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import Parameters, PreprocessParameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.perception.result import Stage, Status

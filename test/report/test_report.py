@@ -10,7 +10,8 @@ import pytest
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import FramesWriter
-from imgu_ros.params import Parameters, parameter_values
+from imgu_ros.parameter_values import parameter_values
+from imgu_ros.params import Parameters
 from imgu_ros.perception.result import PoseStatus, Result, Status
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.html import figures, write_report

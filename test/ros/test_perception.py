@@ -25,7 +25,7 @@ from imgu_ros.codec.features import decode_homographies
 from imgu_ros.codec.header import Header, decode_header
 from imgu_ros.codec.image import decode_image, image_message
 from imgu_ros.codec.results import target_odometry_message, target_pose_message
-from imgu_ros.params import parameters_from
+from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result

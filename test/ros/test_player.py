@@ -18,7 +18,7 @@ from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.header import Header, decode_header, header_message
 from imgu_ros.codec.image import image_message
 from imgu_ros.codec.results import target_pose_message
-from imgu_ros.params import parameters_from
+from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import TargetImage, prepare_targets
 from imgu_ros.ros.messages import make_message as make_ros_message
