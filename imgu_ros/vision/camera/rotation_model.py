@@ -13,13 +13,12 @@ from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.covariance import propagated_covariance
+from imgu_ros.vision.estimation.directions import DirectionsModel
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
 
 _FEWEST_POINTS = 2
-#: Sine of the smallest angle between directions that determine a rotation.
-_NARROWEST = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +104,8 @@ class RotationModel:
             raise TooFewPoints(f"src, dst: {len(src)} points; need at least {_FEWEST_POINTS}")
         self._camera = camera_dst
         self.rays_src, valid_src = _rays(src, camera_src)
-        self._rays_dst, valid_dst = _rays(self.dst, camera_dst)
+        rays_dst, valid_dst = _rays(self.dst, camera_dst)
+        self._directions = DirectionsModel(self.rays_src, rays_dst)
         self._valid = valid_src & valid_dst
 
     @property
@@ -120,12 +120,7 @@ class RotationModel:
 
     def generate(self, samples: Indices) -> Floats:
         """Return the rotations, (B', 3, 3), of samples (B, 2)."""
-        samples = samples[self._valid[samples].all(axis=1)]
-        a, b = self.rays_src[samples], self._rays_dst[samples]
-        frames_a, known_a = _frames(a)
-        frames_b, known_b = _frames(b)
-        known = known_a & known_b
-        return np.asarray(frames_b[known] @ np.swapaxes(frames_a[known], 1, 2), np.float64)
+        return self._directions.generate(samples[self._valid[samples].all(axis=1)])
 
     def squared_errors(self, hypotheses: Floats) -> Floats:
         """Return the squared errors (B, N) in px of the second view; inf for directions behind it."""
@@ -141,14 +136,8 @@ class RotationModel:
         return squared
 
     def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
-        """Return the rotation that best turns the inliers' directions (orthogonal Procrustes; Kabsch 1976)."""
-        del hypothesis
-        correlation = self._rays_dst[inliers].T @ self.rays_src[inliers]
-        U, singular, Vt = np.linalg.svd(correlation)
-        if not singular[1] > _NARROWEST * singular[0]:
-            raise DegenerateConfiguration("src, dst: the inliers lie in one direction; need points apart")
-        sign = 1.0 if np.linalg.det(U @ Vt) > 0 else -1.0
-        return np.asarray((U * (1.0, 1.0, sign)) @ Vt, np.float64)
+        """Return the rotation that best turns the inliers' directions."""
+        return self._directions.refit(hypothesis, inliers)
 
 
 class _RotationProblem:
@@ -184,13 +173,3 @@ def _rays(pixels: Points, camera: Camera) -> tuple[Floats, Mask]:
         raise ShapeError("src, dst: overflow; need px of a picture")
     rays = np.column_stack((normalized, np.ones(len(normalized))))
     return rays / np.linalg.norm(rays, axis=1, keepdims=True), valid
-
-
-def _frames(pairs: Floats) -> tuple[Floats, Mask]:
-    """Return right-handed frames (B, 3, 3) on pairs of directions (B, 2, 3), and whether they are determined."""
-    total, across = pairs[:, 0] + pairs[:, 1], np.cross(pairs[:, 0], pairs[:, 1])
-    lengths = np.linalg.norm(total, axis=1), np.linalg.norm(across, axis=1)
-    known = (lengths[0] > _NARROWEST) & (lengths[1] > _NARROWEST)
-    x = total / np.where(known, lengths[0], 1.0)[:, None]
-    z = across / np.where(known, lengths[1], 1.0)[:, None]
-    return np.stack((x, np.cross(z, x), z), axis=2), known

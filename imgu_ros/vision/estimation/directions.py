@@ -11,6 +11,8 @@ from imgu_ros.types import Floats, Indices, Mask, Matrix3, as_matrix, as_rows
 _LARGEST = 1e100
 #: Least second singular value of the correlation, as a share of the first: below, all directions are parallel.
 _PARALLEL = 1e-9
+#: Radians between two directions, or between one and the other's opposite, that determine a rotation.
+_NARROWEST = 1e-6
 
 
 def align_directions(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None = None) -> Matrix3:
@@ -102,7 +104,7 @@ def _axes(pairs: Floats) -> Floats:
     """Return the orthonormal axes (B, 3, 3) about the mean of two unit vectors (B, 2, 3); NaN where undefined."""
     middle, apart = pairs[:, 0] + pairs[:, 1], pairs[:, 0] - pairs[:, 1]
     lengths = np.stack((np.linalg.norm(middle, axis=1), np.linalg.norm(apart, axis=1)))
-    lengths[:, (lengths < 1e-3).any(axis=0)] = np.nan
+    lengths[:, (lengths < _NARROWEST).any(axis=0)] = np.nan
     x, y = middle / lengths[0][:, None], apart / lengths[1][:, None]
     return np.stack((x, y, np.cross(x, y)), axis=2)
 
