@@ -21,6 +21,8 @@ from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 
 BOARD = Chessboard(9, 6, 0.025)
 VIEWS, NOISE_PX = 15, 0.1
+#: OpenCV counts the window from its middle: 2 x 5 + 1 = 11 px a side.
+HALF_WINDOW = (5, 5)
 LENSES = {
     "plumb_bob": (900, (-0.26, 0.09, 0.0008, -0.0005, -0.01)),
     "rational_polynomial": (600, (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01)),
@@ -87,7 +89,7 @@ def real(folder: Path) -> dict[str, float]:
     plain = [cv2.findChessboardCorners(grey, size) for grey in greys]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
     fixed = [
-        cv2.cornerSubPix(grey, np.array(corners, np.float32), (11, 11), (-1, -1), criteria)
+        cv2.cornerSubPix(grey, np.array(corners, np.float32), HALF_WINDOW, (-1, -1), criteria)
         for grey, (done, corners) in zip(greys, plain, strict=True)
         if done
     ]
@@ -97,7 +99,7 @@ def real(folder: Path) -> dict[str, float]:
         "ours": found.rms_corner_px,
         "calibrateCamera, our corners": _opencv_rms(ours, camera),
         "calibrateCamera, findChessboardCornersSB": _opencv_rms([c for done, c in sector if done], camera),
-        "calibrateCamera, cornerSubPix (11, 11)": _opencv_rms(fixed, camera),
+        "calibrateCamera, cornerSubPix 11 x 11 px": _opencv_rms(fixed, camera),
     }
     print(f"{len(files)} real pictures, residual px a corner")
     for name, value in results.items():

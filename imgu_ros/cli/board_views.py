@@ -96,11 +96,15 @@ def find_board_views(
     TooFewPoints
         If the board is found in fewer than three different views; says what was found instead.
     FileError, BagError, ParameterError
-        If the paths cannot be read.
+        If a path does not exist, or a bag cannot be read; `pattern` is for image files alone, `image_topic` for bags.
     """
     bags = [path for path in paths if _is_bag(path)]
     if bags and len(bags) < len(paths):
         raise ParameterError(f"{paths[0]}: bags and images mixed; need one bag, or images")
+    if bags and pattern:
+        raise ParameterError(f"--pattern: {pattern} for a bag; its encoding says so: need it for image files only")
+    if not bags and parameters.image_topic:
+        raise ParameterError(f"image_topic: {parameters.image_topic!r} for image files; need it for a bag only")
     files = () if bags else _image_files(paths)
     pictures = _of_bag(bags, parameters) if bags else _of_files(files, parameters, pattern)
     found: list[BoardView] = []
@@ -223,6 +227,8 @@ def _is_bag(path: Path) -> bool:
 def _image_files(paths: Sequence[Path]) -> tuple[Path, ...]:
     files: list[Path] = []
     for path in paths:
+        if not path.exists():
+            raise FileError(f"{path}: No such file or directory; need a bag, images or folders of images")
         if not path.is_dir():
             files.append(path)
             continue

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-views", type=_views, default=50, metavar="N", help="most views used; default: %(default)s"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
-    add_parameter_options(parser)
+    add_parameter_options(parser, ("raw", "demosaic", "image_topic"))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -96,7 +96,7 @@ def described(calibration: Calibration, found: BoardViews, board: Chessboard) ->
     lines = [f"{len(calibration.views)} of {total} pictures used, {board.columns}x{board.rows} corners in each"]
     for reason in list(dict.fromkeys(picture.reason for picture in refused))[:_SHOWN_REASONS]:
         names = [picture.name for picture in refused if picture.reason == reason]
-        lines.append(f"  refused: {names[0]}{f' and {len(names) - 1} others' if len(names) > 1 else ''}: {reason}")
+        lines.append(f"  refused: {names[0]}{_and_others(len(names) - 1)}: {reason}")
     lines.append(f"{camera.model}, {camera.width} x {camera.height} px")
     for name, value, sigma in zip(names_of(calibration), values_of(calibration), calibration.sigma, strict=True):
         lines.append(
@@ -111,6 +111,10 @@ def described(calibration: Calibration, found: BoardViews, board: Chessboard) ->
         "(as OpenCV counts)"
     )
     return "\n".join([*lines, *(f"warning: {text}" for text in warnings_of(calibration, found))])
+
+
+def _and_others(count: int) -> str:
+    return f" and {count} other{'s' * (count > 1)}" if count else ""
 
 
 def names_of(calibration: Calibration) -> tuple[str, ...]:

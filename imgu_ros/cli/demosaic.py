@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 HELP = "turn a raw image file into a colour image"
 
+_USED = ("demosaic.method", "raw.black_level", "raw.white_level", "raw.significant_bits", "raw.gains")
 _DTYPES = {"uint8": "uint8", "uint16": "<u2", "uint16le": "<u2", "uint16be": ">u2"}
 
 
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     raw.add_argument("--width", type=int, metavar="PX")
     raw.add_argument("--height", type=int, metavar="PX")
     raw.add_argument("--dtype", choices=tuple(_DTYPES), help="uint16 is little-endian")
-    add_parameter_options(parser)
+    add_parameter_options(parser, _USED)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -84,7 +85,12 @@ def _read_raw(arguments: argparse.Namespace) -> Image:
         return read_raw_image(arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype])
     from imgu_ros.files.images import read_image
 
-    raw = read_image(arguments.input)
+    try:
+        raw = read_image(arguments.input)
+    except FileError as error:
+        if "not an image" not in str(error):
+            raise
+        raise FileError(f"{error}, or --width, --height and --dtype of a headerless file") from None
     if raw.ndim != 2 or raw.dtype.name not in ("uint8", "uint16"):
         raise FileError(f"{arguments.input}: shape {raw.shape}, {raw.dtype}; need a one-channel 8- or 16-bit image")
     return raw

@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain on the image, and report."""
     parameters = _with_target(parameters_of(arguments), arguments)
+    _check_outputs(arguments)
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.perception.chain import Chain
     from imgu_ros.perception.targets import prepare_targets
@@ -120,6 +121,19 @@ def document(result: Result) -> dict[str, object]:
         "ms": {stage.value: time / 1e6 for stage, time in (result.times_ns or {}).items()},
         "total_ms": result.total_ns / 1e6,
     }
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    """Before the work, not after it."""
+    from imgu_ros.errors import FileError
+
+    for path in (arguments.json, arguments.draw):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise FileError(f"{path}: its folder does not exist; need a place that can be written")
+    if arguments.draw:
+        from imgu_ros.report.overlay import check_overlay_suffix
+
+        check_overlay_suffix(arguments.draw)
 
 
 def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Parameters:

@@ -13,9 +13,18 @@ if TYPE_CHECKING:
 _GROUP = "parameters (see `imgu params`)"
 
 
-def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated, and the later one wins, as in ROS 2."""
-    group = parser.add_argument_group(_GROUP)
+def add_parameter_options(parser: argparse.ArgumentParser, only: tuple[str, ...] = ()) -> None:
+    """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated, and the later one wins, as in ROS 2.
+
+    Parameters
+    ----------
+    parser : of the command
+    only : names and groups of the parameters that mean something to the command; empty: all. `-p` refuses the others;
+        a file may hold them, as it may be the whole chain's
+    """
+    used = ", ".join(f"{name}.*" if _is_group(name) else name for name in only)
+    group = parser.add_argument_group(_GROUP, f"used here: {used}" if used else None)
+    parser.set_defaults(used_parameters=only)
     group.add_argument(
         "-p", "--param", dest="overrides", metavar="NAME:=VALUE", action="append", type=_override, default=[],
         help="set one parameter; the value is YAML, as with --ros-args",
@@ -37,21 +46,33 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
     Raises
     ------
     ParameterError
-        If a parameter is unknown, has the wrong type, or lies outside its range.
+        If a parameter is unknown, has the wrong type, lies outside its range, or means nothing to the command.
     FileError
         If a parameter file cannot be read.
     """
+    from imgu_ros.errors import ParameterError
     from imgu_ros.files.parameter_files import parse_override, read_parameter_file
     from imgu_ros.parameter_values import parameters_from
 
     values: dict[str, object] = dict(extra or {})
+    given: list[str] = []
     for kind, text in arguments.overrides or ():
         if kind == "file":
             values.update(read_parameter_file(Path(text)))
         else:
             name, value = parse_override(text)
             values[name] = value
-    return parameters_from(values)
+            given.append(name)
+    parameters = parameters_from(values)
+    only = arguments.used_parameters
+    for name in given:
+        if only and not any(name == one or name.startswith(f"{one}.") for one in only):
+            raise ParameterError(f"{name}: no part of this command; need one of {', '.join(only)}")
+    return parameters
+
+
+def _is_group(name: str) -> bool:
+    return "." not in name and not name.endswith("_topic")
 
 
 def _override(text: str) -> tuple[str, str]:

@@ -18,8 +18,9 @@ HELP = "list every parameter, or print a ready parameter file"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("--yaml", action="store_true", help="print a ROS 2 parameter file: defaults, and what -p sets")
-    parser.add_argument("--markdown", action="store_true", help="print the reference page")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--yaml", action="store_true", help="print a ROS 2 parameter file: defaults, and what -p sets")
+    form.add_argument("--markdown", action="store_true", help="print the reference page")
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these parameters, or groups (`homography`)")
     add_parameter_options(parser)
 
@@ -30,15 +31,15 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.params import declaration, declarations
 
     parameters = parameters_of(arguments)
-    if arguments.yaml:
-        from imgu_ros.files.parameter_files import parameter_file_text
-
-        print(parameter_file_text(parameter_values(parameters)), end="")
-        return 0
     chosen = [known for known in declarations() if _is_asked_for(known.name, arguments.names)]
     for asked in arguments.names:
         if not any(_is_asked_for(known.name, [asked]) for known in chosen):
             declaration(asked)  # raises, and names the nearest known one
+    if arguments.yaml:
+        from imgu_ros.files.parameter_files import parameter_file_text
+
+        print(parameter_file_text(parameter_values(parameters), [known.name for known in chosen]), end="")
+        return 0
     if arguments.markdown:
         print(reference_page(chosen), end="")
         return 0

@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="thin lens of this aperture, whose blur depends on the depth (default: a pinhole)")
     add("--focus-m", type=float, metavar="M",
         help="depth that the lens is focused at (default: the targets' centre, in every frame)")
-    add("--pixel-pitch-um", type=float, default=3.45, metavar="UM",
+    add("--pixel-pitch-um", type=float, metavar="UM",
         help="distance of pixels on the sensor, which makes the f-number an aperture (default 3.45)")
     add("--ev", type=_stops, default=(0.0,), metavar="EV[,EV...]",
         help="exposure compensation in stops; several, as in --ev=-1,0,1: of successive equal parts of the sequence")
@@ -164,13 +164,15 @@ def _capture(arguments: argparse.Namespace) -> Capture:
 
     if arguments.f_number is not None and not arguments.f_number > 0:
         raise ParameterError(f"f-number: {arguments.f_number:g}; need more than 0")
+    if arguments.pixel_pitch_um is not None and arguments.f_number is None:
+        raise ParameterError(f"pixel pitch: {arguments.pixel_pitch_um:g} um without an f-number; need both")
     return Capture(
         exposure_s=arguments.exposure_ms * 1e-3,
         row_time_s=arguments.row_time_us * 1e-6,
         defocus_px=arguments.defocus_px,
         f_number=arguments.f_number or 0.0,
         focus_m=arguments.focus_m,
-        pitch_m=arguments.pixel_pitch_um * 1e-6,
+        pitch_m=Capture().pitch_m if arguments.pixel_pitch_um is None else arguments.pixel_pitch_um * 1e-6,
         ev=arguments.ev,
     )
 

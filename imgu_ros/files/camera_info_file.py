@@ -79,6 +79,10 @@ def _content(path: Path) -> dict[str, Any]:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a camera_info YAML file") from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = "" if mark is None else f" in line {mark.line + 1}"
+        raise FileError(f"{path}: no YAML{where} ({error.problem}); need a camera_info YAML file") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise FileError(f"{path}: {' '.join(str(error).split())[:200]}; need a camera_info YAML file") from None
     if not isinstance(content, dict):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import yaml
@@ -68,18 +68,21 @@ def parse_override(text: str) -> tuple[str, object]:
     return name.strip(), parsed_value(value, name.strip())
 
 
-def parameter_file_text(values: Mapping[str, object] | None = None) -> str:
+def parameter_file_text(values: Mapping[str, object] | None = None, names: Collection[str] | None = None) -> str:
     """Return a parameter file with every parameter and its description.
 
     Parameters
     ----------
     values : instead of the defaults, by full name
+    names : only these parameters, by full name; None: all
 
     ROS 2 cannot tell the type of an empty list: such parameters are commented out.
     """
     lines = ["# Parameters of imgu_ros. A line left out keeps its default.", "/**:", f"  {_SECTION}:"]
     groups: tuple[str, ...] = ()
     for known in declarations():
+        if names is not None and known.name not in names:
+            continue
         *parents, leaf = known.name.split(".")
         for depth, group in enumerate(parents):
             if groups[: depth + 1] != tuple(parents[: depth + 1]):

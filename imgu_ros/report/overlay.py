@@ -25,6 +25,9 @@ STATUS_COLORS = {
     Status.REJECTED: (213, 94, 0),
 }
 
+#: Those of `files/vector_figure.py`, which loads Matplotlib.
+VECTOR_SUFFIXES = (".svg", ".pdf")
+
 _AXES = ((230, 40, 40), (40, 200, 40), (60, 110, 255))  # x red, y green, z blue, as in RViz
 _INLIER = (255, 230, 60)
 _SHIFT = 4  # drawing coordinates carry 4 bits of fraction
@@ -58,19 +61,23 @@ def write_overlay(path: Path | str, result: Result) -> None:
     FileError
         If the suffix is unknown, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix in RASTER_SUFFIXES:
+    check_overlay_suffix(path)
+    if Path(path).suffix.lower() in RASTER_SUFFIXES:
         write_image(path, draw_result(result))
         return
     # Matplotlib takes half a second to load: not for a node that draws its debug image.
-    from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, VectorFigure
+    from imgu_ros.files.vector_figure import VectorFigure
 
-    if suffix not in VECTOR_SUFFIXES:
-        need = ", ".join((*RASTER_SUFFIXES, *VECTOR_SUFFIXES))
-        raise FileError(f"{path}: suffix {Path(path).suffix!r}; need one of {need}")
     figure = VectorFigure(_background(result))
     _draw_over(figure, result)
     figure.save(path)
+
+
+def check_overlay_suffix(path: Path | str) -> None:
+    """Raise FileError when `write_overlay` knows no such suffix."""
+    known = (*RASTER_SUFFIXES, *VECTOR_SUFFIXES)
+    if Path(path).suffix.lower() not in known:
+        raise FileError(f"{path}: suffix {Path(path).suffix!r}; need one of {', '.join(known)}")
 
 
 class _Pen(Protocol):

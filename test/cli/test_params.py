@@ -41,3 +41,11 @@ def test_yaml_holds_what_is_set(tmp_path: Path, capsys: pytest.CaptureFixture[st
     path = tmp_path / "params.yaml"
     path.write_text(capsys.readouterr().out)
     assert parameters_from(read_parameter_file(path)).matching.ratio == 0.7
+
+
+def test_yaml_of_a_group(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["params", "matching", "--yaml"]) == 0
+    out = capsys.readouterr().out
+    assert "    matching:\n" in out
+    assert "homography" not in out
+    assert main(["params", "--yaml", "--markdown"]) == 2
