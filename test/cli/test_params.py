@@ -47,5 +47,5 @@ def test_yaml_of_a_group(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["params", "matching", "--yaml"]) == 0
     out = capsys.readouterr().out
     assert "    matching:\n" in out
-    assert "homography" not in out
+    assert "    homography:\n" not in out
     assert main(["params", "--yaml", "--markdown"]) == 2
