@@ -164,6 +164,9 @@ class PreprocessParameters:
         "Seek keypoints on the gradient's length, on every level of the pyramid, instead of on grey values.",
         choices=("none", "strength"),
     )
+    derivative: str = parameter(
+        "sobel", "Operator of the gradient for `preprocess.edges`.", choices=("sobel", "scharr", "gaussian")
+    )
     threshold: str = parameter(
         "none",
         "Make the picture black and white: where Otsu's method says, or frames at `preprocess.threshold_value`.",

@@ -80,11 +80,11 @@ def with_edges(pyramid: Pyramid, parameters: PreprocessParameters) -> Pyramid:
     """
     if parameters.edges == "none":
         return pyramid
-    return Pyramid(tuple(Level(_strength(level.image), level.step) for level in pyramid.levels))
+    return Pyramid(tuple(Level(_strength(level.image, parameters.derivative), level.step) for level in pyramid.levels))
 
 
-def _strength(grey: Image) -> Image:
-    return cv2.convertScaleAbs(gradient(grey).magnitude, alpha=256 / _WHITE_SLOPE)
+def _strength(grey: Image, derivative: str) -> Image:
+    return cv2.convertScaleAbs(gradient(grey, derivative).magnitude, alpha=256 / _WHITE_SLOPE)
 
 
 _EQUALISATIONS: dict[str, Callable[[Image], Image]] = {

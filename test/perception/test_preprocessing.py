@@ -74,6 +74,8 @@ CHANGES: tuple[dict[str, object], ...] = (
     {"preprocess.equalisation": "global"},
     {"preprocess.equalisation": "clahe"},
     {"preprocess.edges": "strength"},
+    {"preprocess.edges": "strength", "preprocess.derivative": "scharr"},
+    {"preprocess.edges": "strength", "preprocess.derivative": "gaussian"},
     {"preprocess.threshold": "otsu"},
     {"preprocess.threshold": "fixed", "preprocess.threshold_value": 56.0},
     {"pyramid.kind": "coarse"},

@@ -20,7 +20,8 @@ Smoothing by Gaussians is in the next chapter, `scale_space`.
 **In the chain** the parameters `preprocess.*` reach brightness, contrast, gamma, equalisation, smoothing, edge strength
 and thresholds: they change the picture on which keypoints are sought and described, of targets and frames alike, and
 are off by default. Alignment (`refinement.*`, `tracking.*`) matches brightness and contrast itself and keeps to the
-picture as it was: its precision lives in grey ramps that thresholds and clamping destroy.
+picture as it was: its precision lives in grey ramps that thresholds and clamping destroy. Canny's lines are not among
+the edges there: one bit a pixel leaves descriptors too little, and a simulated target is not found by them.
 
 Sources: notes 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
 """

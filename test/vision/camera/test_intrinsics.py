@@ -41,6 +41,13 @@ def test_plumb_bob_by_hand() -> None:
     assert_allclose(lens.project([[0.5, 0, 1]]), [[900 * 0.5275 + 641.5, 880 * (0.01 * 0.25) + 350.25]])
 
 
+def test_rational_by_hand() -> None:
+    # x = 0.5, y = 0: r2 = 1/4, r4 = 1/16, r6 = 1/64.
+    lens = make_camera(K, (0.1, 0.2, 0, 0, 0.4, 0.3, 0.8, 1.6), "rational_polynomial", 1280, 720)
+    radial = (1 + 0.025 + 0.0125 + 0.00625) / (1 + 0.075 + 0.05 + 0.025)
+    assert_allclose(lens.project([[0.5, 0, 1]]), [[900 * 0.5 * radial + 641.5, 350.25]])
+
+
 def test_equidistant_by_hand() -> None:
     lens = make_camera(K, (0, 0, 0, 0), "equidistant", 1280, 720)
     assert lens.is_distorted

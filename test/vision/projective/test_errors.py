@@ -40,6 +40,14 @@ def test_zero_where_they_agree_and_positive_elsewhere(error) -> None:
     assert_allclose(error(-5 * H_TRUE, src, dst + 1), error(H_TRUE, src, dst + 1))
 
 
+def test_algebraic_error_by_definition() -> None:
+    """The first two components of dst x (H src), H of unit norm."""
+    src, dst = scene(10, 3, 1)
+    for s, d, error in zip(src, dst, algebraic_error(7 * H_TRUE, src, dst), strict=True):
+        cross = np.cross([*d, 1], H_TRUE @ [*s, 1])
+        assert error == pytest.approx(cross[0] ** 2 + cross[1] ** 2)
+
+
 def test_transfer_errors_by_definition() -> None:
     src, dst = scene(10, 3, 1)
     forward = ((transform(H_TRUE, src) - dst) ** 2).sum(axis=1)
