@@ -23,8 +23,8 @@ CHAPTERS = (
 )  # in the order in which light becomes a pose
 #: Parameters whose every value is an algorithm.
 METHODS = (
-    "demosaic.method raw.band_mode preprocess.derivative pyramid.kind pyramid.kernel keypoints.detector descriptor.kind matching.metric "
-    "homography.sampler homography.error homography.refine"
+    "demosaic.method raw.band_mode preprocess.derivative pyramid.kind pyramid.kernel keypoints.detector descriptor.kind "
+    "matching.metric homography.sampler homography.error homography.refine"
 ).split()
 NOT_METHODS = {"auto", "none"}
 #: Sections of the lecture notes that the library covers.

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.errors import ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Indices, Mask, as_points, as_rows
+from imgu_ros.types import Floats, Indices, Mask
 from imgu_ros.vision.camera.resection import (
     FEWEST_POINTS,
     ProjectionEstimate,
+    as_correspondences,
     design_matrix,
     fit_projection,
     projection_dlt,
 )
 from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
+from imgu_ros.vision.projective.dlt import normalisation
 
 _RANK_TOLERANCE = 1e-6
-_LARGEST = 1e100
 
 
 def estimate_projection(
@@ -85,15 +85,11 @@ class ProjectionModel:
     """
 
     def __init__(self, world: ArrayLike, pixels: ArrayLike) -> None:
-        self.world, self.pixels = as_rows(world, 3, "world"), as_points(pixels, "pixels")
-        if len(self.world) != len(self.pixels):
-            raise ShapeError(f"pixels: {len(self.pixels)} points; need {len(self.world)}, one for each of world")
-        if len(self.world) < FEWEST_POINTS:
-            raise TooFewPoints(f"world, pixels: {len(self.world)} points; need at least {FEWEST_POINTS}")
-        largest = max(float(np.abs(self.world).max()), float(np.abs(self.pixels).max()))
-        if largest > _LARGEST:
-            raise ShapeError(f"world, pixels: up to {largest:g}; need numbers of the size of a scene and a picture")
-        self._world_unit, self._pixel_unit = _unit(self.world), _unit(self.pixels)
+        self.world, self.pixels = as_correspondences(world, pixels)
+        self._T_world, self._T_pixels = normalisation(self.world, "world"), normalisation(self.pixels, "pixels")
+        # Normalised once, so that one scale serves all samples.
+        self._world_unit = self.world @ self._T_world[:3, :3] + self._T_world[:3, 3]
+        self._pixel_unit = self.pixels @ self._T_pixels[:2, :2] + self._T_pixels[:2, 2]
         self._homogeneous = np.column_stack((self.world, np.ones(len(self.world))))
 
     @property
@@ -112,7 +108,7 @@ class ProjectionModel:
         _, singular, vectors = np.linalg.svd(design_matrix(world, pixels))
         regular = singular[:, 10] > _RANK_TOLERANCE * singular[:, 0]
         scaled = vectors[regular, 11].reshape(-1, 3, 4)
-        return np.asarray(_unit_transform(self.pixels) @ scaled @ _unit_inverse(self.world), np.float64)
+        return np.asarray(np.linalg.inv(self._T_pixels) @ scaled @ self._T_world, np.float64)
 
     def squared_errors(self, hypotheses: Floats) -> Floats:
         """Return the squared reprojection errors (B, N); inf for points behind the camera."""
@@ -128,25 +124,3 @@ class ProjectionModel:
         """Return the camera matrix of all inliers, by the normalised DLT."""
         del hypothesis
         return projection_dlt(self.world[inliers], self.pixels[inliers])
-
-
-def _unit(points: Floats) -> Floats:
-    """Return points brought to centroid 0 and unit RMS, so that one design matrix serves all samples."""
-    return (points - points.mean(axis=0)) / _spread(points)
-
-
-def _spread(points: Floats) -> float:
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).mean())) or 1.0
-
-
-def _unit_transform(points: Floats) -> Floats:
-    """Return the inverse of what `_unit` does, as a homogeneous matrix."""
-    size = points.shape[1]
-    T = np.eye(size + 1)
-    T[:size, :size] *= _spread(points)
-    T[:size, size] = points.mean(axis=0)
-    return T
-
-
-def _unit_inverse(points: Floats) -> Floats:
-    return np.asarray(np.linalg.inv(_unit_transform(points)), np.float64)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points, as_rows
+from imgu_ros.types import Floats, Mask, Points, as_matrix, as_points, as_rows
 from imgu_ros.vision.camera.projection import depths, finite_camera
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
+from imgu_ros.vision.projective.dlt import normalisation
 
 #: Points that a camera matrix needs: 11 degrees of freedom, two equations a point.
 FEWEST_POINTS = 6
@@ -75,11 +76,11 @@ def fit_projection(world: ArrayLike, pixels: ArrayLike, noise_px: float | None =
     >>> camera_centre(fit_projection(world, project(P, world)).P).round(9).tolist()
     [-0.1, -0.2, -3.0]
     """
-    world, pixels = _pairs(world, pixels)
+    world, pixels = as_correspondences(world, pixels)
     if noise_px is not None and not 0 < noise_px < math.inf:
         raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")
     P = projection_dlt(world, pixels)
-    T_world, T_pixels = _normalisation(world, "world"), _normalisation(pixels, "pixels")
+    T_world, T_pixels = normalisation(world, "world"), normalisation(pixels, "pixels")
     problem = _ReprojectionProblem(_mapped(T_world, world), _mapped(T_pixels, pixels))
     start = T_pixels @ P @ np.linalg.inv(T_world)
     minimum = minimise(problem, start / np.linalg.norm(start))
@@ -105,14 +106,14 @@ def projection_dlt(world: ArrayLike, pixels: ArrayLike) -> Floats:
     -------
     (3, 4) of unit Frobenius norm, det P[:, :3] > 0
     """
-    world, pixels = _pairs(world, pixels)
+    world, pixels = as_correspondences(world, pixels)
     singular = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     if not singular[2] > _THINNEST * singular[0]:
         raise DegenerateConfiguration(
             f"world: {len(world)} points in a plane (thickness / length {singular[2] / (singular[0] or 1.0):.2g}); "
             f"need more than {_THINNEST}"
         )
-    T_world, T_pixels = _normalisation(world, "world"), _normalisation(pixels, "pixels")
+    T_world, T_pixels = normalisation(world, "world"), normalisation(pixels, "pixels")
     A = design_matrix(_mapped(T_world, world), _mapped(T_pixels, pixels))
     _, singular, vectors = np.linalg.svd(A, full_matrices=True)
     if not singular[10] > _RANK_TOLERANCE * singular[0]:
@@ -149,6 +150,27 @@ def design_matrix(world: Floats, pixels: Points) -> Floats:
     return A.reshape(*world.shape[:-2], -1, 12)
 
 
+def as_correspondences(world: ArrayLike, pixels: ArrayLike) -> tuple[Floats, Points]:
+    """Return `world`, (N, 3), and `pixels`, (N, 2), as float64 arrays when they may determine a camera matrix.
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape or is not finite, or a number is too large.
+    TooFewPoints
+        If there are fewer than six points.
+    """
+    world, pixels = as_rows(world, 3, "world"), as_points(pixels, "pixels")
+    if len(world) != len(pixels):
+        raise ShapeError(f"pixels: {len(pixels)} points; need {len(world)}, one for each of world")
+    if len(world) < FEWEST_POINTS:
+        raise TooFewPoints(f"world, pixels: {len(world)} points; need at least {FEWEST_POINTS}")
+    largest = max(float(np.abs(world).max()), float(np.abs(pixels).max()))
+    if largest > _LARGEST:
+        raise ShapeError(f"world, pixels: up to {largest:g}; need numbers of the size of a scene and a picture")
+    return world, pixels
+
+
 class _ReprojectionProblem:
     """Residuals projected - measured, (N, 2); the estimate is P of unit norm, moved along its tangent space."""
 
@@ -181,32 +203,6 @@ def _tangent_basis(P: Floats) -> Floats:
     v = p.copy()
     v[0] += math.copysign(1.0, p[0])
     return np.asarray((np.eye(12) - 2 * np.outer(v, v) / (v @ v))[:, 1:], np.float64)
-
-
-def _pairs(world: ArrayLike, pixels: ArrayLike) -> tuple[Floats, Points]:
-    world, pixels = as_rows(world, 3, "world"), as_points(pixels, "pixels")
-    if len(world) != len(pixels):
-        raise ShapeError(f"pixels: {len(pixels)} points; need {len(world)}, one for each of world")
-    if len(world) < FEWEST_POINTS:
-        raise TooFewPoints(f"world, pixels: {len(world)} points; need at least {FEWEST_POINTS}")
-    largest = max(float(np.abs(world).max()), float(np.abs(pixels).max()))
-    if largest > _LARGEST:
-        raise ShapeError(f"world, pixels: up to {largest:g}; need numbers of the size of a scene and a picture")
-    return world, pixels
-
-
-def _normalisation(points: Floats, name: str) -> Matrix3 | Floats:
-    """Return the similarity that moves the centroid to 0 and the mean distance from it to sqrt(dimension)."""
-    dimension = points.shape[1]
-    centroid = points.mean(axis=0)
-    distance = float(np.linalg.norm(points - centroid, axis=1).mean())
-    if not distance > 1e-12 * max(1e-200, float(np.abs(centroid).max())):
-        raise DegenerateConfiguration(f"{name}: all {len(points)} points coincide; need points apart")
-    scale = math.sqrt(dimension) / distance
-    T = np.eye(dimension + 1)
-    T[:-1, :-1] *= scale
-    T[:-1, -1] = -scale * centroid
-    return T
 
 
 def _mapped(T: Floats, points: Floats) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
+from imgu_ros.types import Floats, Matrix3, as_floats, as_matrix, as_points
 from imgu_ros.vision.projective.transform import normalised_homography
 
 _RANK_TOLERANCE = 1e-9
@@ -92,34 +92,50 @@ def design_matrix(src: ArrayLike, dst: ArrayLike) -> Floats:
     return A
 
 
-def normalisation(points: ArrayLike) -> Matrix3:
-    """Return the similarity that moves the centroid to 0 and the mean distance from it to sqrt 2 (HZ 4.4.4).
+def normalisation(points: ArrayLike, name: str = "points") -> Floats:
+    """Return the similarity that moves the centroid to 0 and the mean distance from it to sqrt D (HZ 4.4.4, 7.1).
+
+    Parameters
+    ----------
+    points : (N, D), N >= 1, D = 2 or 3
+    name : what errors call them
+
+    Returns
+    -------
+    (D + 1, D + 1)
 
     Raises
     ------
     DegenerateConfiguration
         If all points coincide.
     ShapeError
-        If there are none, or one is not finite or too large.
+        If there are none, they have another shape, or one is not finite or too large.
 
     Examples
     --------
     >>> normalisation([[0, 0], [4, 0], [4, 4], [0, 4]]).tolist()
     [[0.5, 0.0, -1.0], [0.0, 0.5, -1.0], [0.0, 0.0, 1.0]]
     """
-    points = as_points(points, minimum=1)
-    _require_plain(points)
-    centroid = points.mean(axis=0)
-    distance = float(np.hypot(*(points - centroid).T).mean())
+    array = as_floats(points, name)
+    if array.ndim != 2 or array.shape[1] not in (2, 3) or not len(array):
+        raise ShapeError(f"{name}: shape {array.shape}; need (N, 2) or (N, 3), N >= 1")
+    array = as_matrix(array, array.shape, name)
+    _require_plain(array, name)
+    centroid = array.mean(axis=0)
+    offsets = array - centroid
+    distance = float(np.sqrt(np.einsum("nd,nd->n", offsets, offsets)).mean())
     if not distance > 1e-12 * max(1.0, float(np.abs(centroid).max())):
-        raise DegenerateConfiguration(f"points: all {len(points)} coincide; need points that span the plane")
-    s = np.sqrt(2) / distance
-    return np.array([[s, 0, -s * centroid[0]], [0, s, -s * centroid[1]], [0, 0, 1]])
+        raise DegenerateConfiguration(f"{name}: all {len(array)} coincide; need points apart")
+    dimension = array.shape[1]
+    T = np.eye(dimension + 1)
+    T[:-1] *= np.sqrt(dimension) / distance
+    T[:-1, -1] = T[:-1, :-1] @ -centroid
+    return T
 
 
-def _require_plain(points: Points) -> None:
+def _require_plain(points: Floats, name: str = "points") -> None:
     if len(points) and max(points.max(), -points.min()) > _LARGEST:
-        raise ShapeError(f"points: up to {np.abs(points).max():g}; need less than {_LARGEST:g}")
+        raise ShapeError(f"{name}: up to {np.abs(points).max():g}; need less than {_LARGEST:g}")
 
 
 def _checked_weights(weights: ArrayLike, count: int) -> Floats:

@@ -32,7 +32,7 @@ from imgu_ros.vision.camera.projection import (
     projection_matrix,
     world_to_camera,
 )
-from imgu_ros.vision.camera.resection import design_matrix, fit_projection, projection_dlt
+from imgu_ros.vision.camera.resection import as_correspondences, design_matrix, fit_projection, projection_dlt
 from imgu_ros.vision.camera.rigid import rigid_transform, rigid_transforms
 from imgu_ros.vision.camera.rotation import (
     as_rotation,
@@ -177,6 +177,7 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     planar_poses: lambda rng: flat(rng) | {"camera": camera()},
     best_of: lambda rng: flat(rng) | {"noise_px": 0.1, "correlation": np.eye(12)},
     fit_projection: lambda rng: pictured(rng) | {"noise_px": 0.1},
+    as_correspondences: pictured,
     projection_dlt: pictured,
     design_matrix: pictured,
     estimate_projection: lambda rng: pictured(rng) | {"rng": np.random.default_rng(1), "threshold_px": 3.0},

@@ -40,7 +40,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     finite: lambda rng: {"values": rng.normal(size=4), "name": "values"},
     design_matrix: _pairs,
     homography_dlt: lambda rng: {**_pairs(rng), "weights": rng.uniform(0.5, 1, 7)},
-    normalisation: lambda rng: {"points": rng.uniform(0, 100, (6, 2))},
+    normalisation: lambda rng: {"points": rng.uniform(0, 100, (6, 3))},
     algebraic_error: _with_h,
     transfer_error: _with_h,
     symmetric_transfer_error: _with_h,

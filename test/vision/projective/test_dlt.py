@@ -85,6 +85,13 @@ def test_normalisation_centres_and_scales() -> None:
     mapped = transform(normalisation(points), points)
     assert_allclose(mapped.mean(axis=0), 0, atol=1e-12)
     assert np.hypot(*mapped.T).mean() == pytest.approx(np.sqrt(2))
+    scene = np.random.default_rng(4).uniform(-3, 90, (40, 3))
+    moved = np.column_stack((scene, np.ones(40))) @ normalisation(scene).T
+    assert_allclose(moved[:, :3].mean(axis=0), 0, atol=1e-12)
+    assert np.linalg.norm(moved[:, :3], axis=1).mean() == pytest.approx(np.sqrt(3))
+    assert_allclose(moved[:, 3], 1)
+    with pytest.raises(ShapeError, match=r"\(N, 2\) or \(N, 3\)"):
+        normalisation(np.zeros((5, 4)))
 
 
 def test_normalised_beats_unnormalised() -> None:
