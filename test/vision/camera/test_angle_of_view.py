@@ -46,5 +46,9 @@ def test_bad_input() -> None:
         intrinsic_matrix(0, 480, 1.0)
     with pytest.raises(ShapeError, match="pixel_m"):
         intrinsic_matrix_of_lens(640, 480, 4e-3, 0)
+    with pytest.raises(ShapeError, match="focal length"):
+        intrinsic_matrix_of_lens(640, 480, 1e300, 1e-300)
+    with pytest.raises(ShapeError, match="of the size of a picture"):
+        angle_of_view([[1e-320, 0, 1e300], [0, 1e-320, 1e300], [0, 0, 1]], 640, 480)
     with pytest.raises(ShapeError, match="fx > 0"):
         angle_of_view(np.diag([-1, 1, 1.0]), 640, 480)

@@ -104,6 +104,12 @@ def test_bad_input() -> None:
         calibrate(XY, seen, 1280, 720, "fisheye")
     with pytest.raises(DegenerateConfiguration, match="on a line"):
         calibrate(XY * (1, 0), seen, 1280, 720)
+    with pytest.raises(ShapeError, match="size"):
+        calibrate(XY, seen, 0, 720)
+    with pytest.raises(ShapeError, match="px of a picture"):
+        calibrate(XY, [*seen[:2], seen[2] * 1e60], 1280, 720)
+    with pytest.raises(ShapeError, match="size of a board"):
+        calibrate(XY * 1e60, seen, 1280, 720)
     for arguments, message in (((2, 6, 0.1), "inner corners"), ((9, 6, 0.0), "square"), ((9, 6, np.nan), "square")):
         with pytest.raises(ShapeError, match=message):
             Chessboard(*arguments)

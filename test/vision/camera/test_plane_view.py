@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from imgu_ros.errors import DegenerateConfiguration
+from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.vision.camera.plane_view import plane_homography, pose_from_plane_homography
 from imgu_ros.vision.camera.projection import project, projection_matrix
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
@@ -59,6 +59,8 @@ def test_pose_of_a_measured_homography_is_near() -> None:
 def test_no_view_of_a_plane() -> None:
     with pytest.raises(DegenerateConfiguration, match="centre"):
         plane_homography(K, np.eye(3), [1.0, 2, 0])
+    with pytest.raises(ShapeError, match="overflow"):
+        plane_homography(np.diag([1e300, 1e300, 1]), np.eye(3), [1e300, 0, 1e300])
     with pytest.raises(DegenerateConfiguration, match="regular"):
         pose_from_plane_homography(K, np.zeros((3, 3)))
     edge_on = K @ np.array([[1.0, 1, 0], [0, 0, 0], [0, 0, 1]])

@@ -102,3 +102,37 @@ def test_start_and_method_are_checked() -> None:
         minimise(noisy(), np.array([1.0, 1.0]), "newton")
     with pytest.raises(DegenerateConfiguration, match="finite"):
         minimise(noisy(), np.array([1.0, -1e6]))
+
+
+class Logarithm:
+    """Residuals log(a x) - y, defined for a > 0 alone: full steps from far above end below 0."""
+
+    def __init__(self, a: float) -> None:
+        self.x = np.array([0.5, 1.0, 2.0, 4.0])
+        self.y = np.log(a * self.x) + [0.01, -0.01, 0.02, -0.02]
+
+    def linearise(self, estimate: Floats) -> Linearisation:
+        if not estimate[0] > 0:
+            raise DegenerateConfiguration("a: not positive")
+        return Linearisation((np.log(estimate[0] * self.x) - self.y)[:, None], np.full((4, 1, 1), 1 / estimate[0]))
+
+    def step(self, estimate: Floats, delta: Floats) -> Floats:
+        return estimate + delta
+
+
+@pytest.mark.parametrize("method", ["levenberg_marquardt", "steepest_descent"])
+def test_steps_that_leave_the_domain_are_shortened(method: str) -> None:
+    # At a = 30 the full step is -30 log(30 / 3), to -39.
+    minimum = minimise(Logarithm(3.0), np.array([30.0]), method, max_iterations=200)
+    assert_allclose(minimum.estimate, [3.0], rtol=1e-6)  # the noise of y has mean 0
+    with pytest.raises(DegenerateConfiguration, match="not positive"):
+        minimise(Logarithm(3.0), np.array([30.0]), "gauss_newton")
+
+
+@pytest.mark.parametrize("method", ["steepest_descent", "gauss_newton", "levenberg_marquardt"])
+def test_a_start_at_the_minimum_stays(method: str) -> None:
+    x = np.linspace(0, 4, 10)
+    exact = Decay(x, 3 * np.exp(-0.7 * x))
+    minimum = minimise(exact, np.array([3.0, 0.7]), method)
+    assert minimum.converged
+    assert_allclose(minimum.estimate, [3.0, 0.7], atol=1e-15)

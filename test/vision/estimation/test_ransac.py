@@ -112,6 +112,18 @@ def test_biweight_depends_less_on_the_threshold() -> None:
     assert spread["biweight"] <= spread["truncated"] + 0.005
 
 
+def test_hypotheses_that_cannot_be_refitted_are_passed_over() -> None:
+    class Strict(Line):
+        def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
+            if np.count_nonzero(inliers) < 20:
+                raise TooFewPoints("inliers: too few")
+            return super().refit(hypothesis, inliers)
+
+    consensus = ransac(Strict(points_on_a_vertical_line(60)), 0.05, np.random.default_rng(5), score="biweight")
+    assert -consensus.hypothesis[2] / consensus.hypothesis[0] == pytest.approx(5, abs=0.02)
+    assert np.count_nonzero(consensus.inliers[:60]) >= 59
+
+
 def test_unknown_choices() -> None:
     model = Line(points_on_a_vertical_line(0))
     with pytest.raises(ShapeError, match="truncated"):
