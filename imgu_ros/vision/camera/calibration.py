@@ -33,7 +33,8 @@ _OUTLIER_RATIO = 3.0
 _OUTLIER_PX = 0.1
 #: The largest share of the focal length that its standard deviation may be.
 _LARGEST_SIGMA = 0.1
-_MAX_STEPS = 200
+#: A rational model over a moderate view has coefficients that nearly cancel: a long, narrow valley.
+_MAX_STEPS = 1000
 #: The share of its standard deviation to which every parameter is found, and of the cost by which it is to fall.
 _TOLERANCE = 1e-6
 #: Smallest diagonal element of the triangular factor of J with columns of unit length.
