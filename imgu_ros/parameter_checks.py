@@ -28,7 +28,7 @@ _NATURE = {
     "patch": "is pixels, which are compared as such",
 }
 
-#: Detectors that look for structures of every size on the finest level.
+#: Detectors that look for structures of every size by themselves: they need the grey picture as it is.
 _OF_EVERY_SCALE = ("dog", "mser")
 
 
@@ -59,7 +59,7 @@ def why_not(parameters: Parameters) -> str:
     ''
     >>> laplacian = PyramidParameters(kind="laplacian")
     >>> why_not(Parameters(pyramid=laplacian, keypoints=KeypointsParameters(detector="dog"))).partition(";")[0]
-    "pyramid.kind: 'laplacian' leaves small structures only, and keypoints.detector 'dog' looks for those of every size"
+    "pyramid.kind: 'laplacian' leaves few structures, and keypoints.detector 'dog' looks for those of every size"
     """
     return next(_contradictions(parameters), "")
 
@@ -70,16 +70,15 @@ def _contradictions(p: Parameters) -> Iterator[str]:
         need = " or ".join(("auto", *_METRICS[kind]))
         yield f"matching.metric: {metric!r}, and descriptor.kind {kind!r} {_NATURE[kind]}; need {need}"
     detector, edges, threshold = p.keypoints.detector, p.preprocess.edges, p.preprocess.threshold
-    if detector in _OF_EVERY_SCALE and p.pyramid.kind == "laplacian":
-        yield (
-            f"pyramid.kind: 'laplacian' leaves small structures only, and keypoints.detector {detector!r} looks for "
-            f"those of every size; need coarse or fine, or another detector"
-        )
-    if detector in _OF_EVERY_SCALE and edges != "none":
-        yield (
-            f"preprocess.edges: {edges!r} makes every level anew, and keypoints.detector {detector!r} sees the finest "
-            f"one only; need none, or another detector"
-        )
+    if detector in _OF_EVERY_SCALE:
+        seen = f"keypoints.detector {detector!r} looks for those of every size"
+        for name, value, wrong, others in (
+            ("pyramid.kind", p.pyramid.kind, p.pyramid.kind == "laplacian", "coarse or fine"),
+            ("preprocess.edges", edges, edges != "none", "none"),
+            ("preprocess.threshold", threshold, threshold != "none", "none"),
+        ):
+            if wrong:
+                yield f"{name}: {value!r} leaves few structures, and {seen}; need {others}, or another detector"
     if edges != "none" and threshold != "none":
         yield (
             f"preprocess.threshold: {threshold!r} leaves steps of one height to preprocess.edges {edges!r}, and "

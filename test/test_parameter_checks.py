@@ -40,7 +40,7 @@ def is_wanted(detector: str, descriptor: str, metric: str, kind: str, edges: str
         "zmssd": descriptor == "patch",
         "ncc": descriptor == "patch",
     }[metric]
-    whole = detector not in ("dog", "mser") or (kind != "laplacian" and edges == "none")
+    whole = detector not in ("dog", "mser") or (kind != "laplacian" and edges == threshold == "none")
     return comparable and whole and (edges == "none" or threshold == "none")
 
 
@@ -78,9 +78,9 @@ def test_every_combination_is_accepted_or_refused_in_one_line() -> None:
                 count += 1
                 accepted += wanted
     assert count == 6 * 5 * 7 * 3 * 3 * 2 * 3 * 2 * 4
-    # Descriptors with metrics: 2 x 2 + 2 x 3 + 4. Pictures: kinds x (thresholds, and edges without one), less dog's
-    # and mser's. Then kernels, samplers, refinements.
-    assert accepted == 14 * (4 * 3 * 4 + 2 * 2 * 3) * 3 * 2 * 4
+    # Descriptors with metrics: 2 x 2 + 2 x 3 + 4. Of four detectors, kinds x (thresholds, and edges without one); of
+    # dog and mser, two kinds. Then kernels, samplers, refinements.
+    assert accepted == 14 * (4 * 3 * 4 + 2 * 2) * 3 * 2 * 4
 
 
 def test_metrics_are_those_of_the_library() -> None:
@@ -111,22 +111,29 @@ def test_metrics_are_those_of_the_library() -> None:
         (
             {"keypoints.detector": "mser", "pyramid.kind": "laplacian"},
             (
-                "pyramid.kind: 'laplacian' leaves small structures only, and keypoints.detector 'mser' looks for those of "
+                "pyramid.kind: 'laplacian' leaves few structures, and keypoints.detector 'mser' looks for those of "
                 "every size; need coarse or fine, or another detector"
             ),
         ),
         (
             {"keypoints.detector": "dog", "preprocess.edges": "strength"},
             (
-                "preprocess.edges: 'strength' makes every level anew, and keypoints.detector 'dog' sees the finest one "
-                "only; need none, or another detector"
+                "preprocess.edges: 'strength' leaves few structures, and keypoints.detector 'dog' looks for those of "
+                "every size; need none, or another detector"
+            ),
+        ),
+        (
+            {"keypoints.detector": "mser", "preprocess.threshold": "fixed"},
+            (
+                "preprocess.threshold: 'fixed' leaves few structures, and keypoints.detector 'mser' looks for those "
+                "of every size; need none, or another detector"
             ),
         ),
         (
             {"preprocess.edges": "strength", "preprocess.threshold": "otsu"},
             (
-                "preprocess.threshold: 'otsu' leaves steps of one height to preprocess.edges 'strength', and nothing to "
-                "tell places apart; need one of the two"
+                "preprocess.threshold: 'otsu' leaves steps of one height to preprocess.edges 'strength', and nothing "
+                "to tell places apart; need one of the two"
             ),
         ),
         ({"keypoints.max_count": 11}, "keypoints.max_count: 11; need at least homography.min_inliers (12)"),
