@@ -23,7 +23,7 @@ BOARD = Chessboard(9, 6, 0.025)
 VIEWS, NOISE_PX = 15, 0.1
 #: OpenCV counts the window from its middle: 2 x 5 + 1 = 11 px a side.
 HALF_WINDOW = (5, 5)
-LENSES = {
+LENSES: dict[str, tuple[int, tuple[float, ...]]] = {
     "plumb_bob": (900, (-0.26, 0.09, 0.0008, -0.0005, -0.01)),
     "rational_polynomial": (600, (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01)),
     "equidistant": (500, (-0.03, 0.008, -0.004, 0.001)),
@@ -123,7 +123,9 @@ def _pixels(views: list[np.ndarray]) -> list[np.ndarray]:
 def _opencv(views: list[np.ndarray], lens: Camera) -> np.ndarray:
     size, points, pixels = (lens.width, lens.height), _points(len(views)), _pixels(views)
     if str(lens.model) == "equidistant":
-        points, pixels = ([array.astype(np.float64) for array in arrays] for arrays in (points, pixels))
+        # OpenCV 5 takes rows of points alone.
+        points = [array.astype(np.float64).reshape(1, -1, 3) for array in points]
+        pixels = [array.astype(np.float64).reshape(1, -1, 2) for array in pixels]
         names = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2  # OpenCV 4 and 5
         flags = names.CALIB_RECOMPUTE_EXTRINSIC | names.CALIB_FIX_SKEW
         return np.asarray(cv2.fisheye.calibrate(points, pixels, size, np.zeros((3, 3)), np.zeros(4), flags=flags)[1])

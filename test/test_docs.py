@@ -10,6 +10,11 @@ import pytest
 from imgu_ros.cli.main import main
 from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS
 
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted(
+    str(path.relative_to(ROOT)) for folder in ("", "docs", "docs/reference") for path in (ROOT / folder).glob("*.md")
+)
+
 
 def test_parameter_reference_is_current(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["params", "--markdown"]) == 0
@@ -18,7 +23,11 @@ def test_parameter_reference_is_current(repository: Path, capsys: pytest.Capture
     )
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/interfaces.md", "docs/how-it-works.md"])
+def test_pages_are_found() -> None:
+    assert {"README.md", "docs/interfaces.md", "docs/calibrate.md", "docs/reference/estimation.md"} <= set(PAGES)
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(repository: Path, page: str) -> None:
     text = (repository / page).read_text()
     for target in re.findall(r"\]\(([^)#]+)\)", text):
@@ -31,12 +40,40 @@ def test_every_output_topic_is_documented(repository: Path) -> None:
         assert f"`{topic}`" in text, topic
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/interfaces.md", "docs/how-it-works.md"])
+@pytest.mark.parametrize("page", PAGES)
 def test_parameters_named_in_prose_exist(repository: Path, page: str) -> None:
     from imgu_ros.params import declarations
 
     known = {d.name for d in declarations()}
     groups = {name.split(".")[0] for name in known if "." in name}
-    for name in re.findall(r"`([a-z_]+\.[a-z_]+)`", (repository / page).read_text()):
-        if name.split(".")[0] in groups and not name.endswith(".csv"):
+    for name in re.findall(r"`([a-z_]+\.[a-z_]+)(?::=[^`]*)?`", (repository / page).read_text()):
+        if name.split(".")[0] in groups and not name.endswith(".csv") and not _is_code(repository, name):
             assert name in known, name
+
+
+def _is_code(repository: Path, name: str) -> bool:
+    """Whether `room.module` or `module.function` of the vision library has this name."""
+    parent, child = name.split(".")
+    vision = repository / "imgu_ros" / "vision"
+    return (vision / parent / f"{child}.py").exists() or any(
+        f"def {child}(" in module.read_text() for module in vision.glob(f"*/{parent}.py")
+    )
+
+
+def test_every_command_is_documented(repository: Path) -> None:
+    from imgu_ros.cli.main import COMMANDS
+
+    text = (repository / "docs" / "interfaces.md").read_text()
+    for command in COMMANDS:
+        assert f"`imgu {command} " in text or f"`imgu {command}`" in text, command
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_of_commands_exist(repository: Path, page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Commands in code blocks: every long option is in the command's help."""
+    text = (repository / page).read_text().replace("\\\n", " ")
+    for command, rest in re.findall(r"^ *imgu ([a-z]+) (.*)$", text, re.MULTILINE):
+        assert main([command, "--help"]) == 0
+        known = capsys.readouterr().out
+        for option in re.findall(r"(?<!\S)--[a-z-]+", rest.partition("#")[0]):
+            assert option in known, f"imgu {command} {option}"
