@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.types import Floats, Indices, Mask
+from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.resection import (
     FEWEST_POINTS,
     ProjectionEstimate,
-    as_correspondences,
     design_matrix,
     fit_projection,
     projection_dlt,
@@ -85,7 +85,7 @@ class ProjectionModel:
     """
 
     def __init__(self, world: ArrayLike, pixels: ArrayLike) -> None:
-        self.world, self.pixels = as_correspondences(world, pixels)
+        self.world, self.pixels = as_correspondences(world, pixels, FEWEST_POINTS, "world")
         self._T_world, self._T_pixels = normalisation(self.world, "world"), normalisation(self.pixels, "pixels")
         # Normalised once, so that one scale serves all samples.
         self._world_unit = self.world @ self._T_world[:3, :3] + self._T_world[:3, 3]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Indices, Mask, Points, as_points, as_rows
+from imgu_ros.types import Floats, Indices, Mask, Points
+from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_problem import PoseProblem
@@ -55,7 +56,7 @@ def fit_pose(points: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: flo
     >>> fit_pose(points, camera.project(points + [0.1, 0.05, 1.0]), camera).t.round(9).tolist()
     [0.1, 0.05, 1.0]
     """
-    points, pixels = _pairs(points, pixels)
+    points, pixels = as_correspondences(points, pixels, _FEWEST_POINTS, largest=_LARGEST)
     if noise_px is not None and not 0 < noise_px < math.inf:
         raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")
     normalized, valid = camera.undistort(pixels)
@@ -117,7 +118,7 @@ class PoseModel:
     """
 
     def __init__(self, points: ArrayLike, pixels: ArrayLike, camera: Camera) -> None:
-        self.points, self.pixels = _pairs(points, pixels)
+        self.points, self.pixels = as_correspondences(points, pixels, _FEWEST_POINTS, largest=_LARGEST)
         self._camera = camera
         self._normalized, self._valid = camera.undistort(self.pixels)
 
@@ -188,15 +189,3 @@ def _p3p(points: Floats, normalized: Points) -> list[Floats]:
             R = exp_so3(np.asarray(rvec, np.float64).ravel())
             poses.append(np.column_stack((R, np.asarray(tvec, np.float64).ravel())))
     return poses
-
-
-def _pairs(points: ArrayLike, pixels: ArrayLike) -> tuple[Floats, Points]:
-    points, pixels = as_rows(points, 3, "points"), as_points(pixels, "pixels")
-    if len(points) != len(pixels):
-        raise ShapeError(f"pixels: {len(pixels)} points; need {len(points)}, one for each of points")
-    if len(points) < _FEWEST_POINTS:
-        raise TooFewPoints(f"points, pixels: {len(points)}; need at least {_FEWEST_POINTS}")
-    largest = max(float(np.abs(points).max()), float(np.abs(pixels).max()))
-    if largest > _LARGEST:
-        raise ShapeError(f"points, pixels: up to {largest:g}; need numbers of the size of a scene and a picture")
-    return points, pixels

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Mask, Points, as_matrix, as_points, as_rows
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
+from imgu_ros.types import Floats, Mask, Points, as_matrix
+from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.projection import depths, finite_camera
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
@@ -76,7 +77,7 @@ def fit_projection(world: ArrayLike, pixels: ArrayLike, noise_px: float | None =
     >>> camera_centre(fit_projection(world, project(P, world)).P).round(9).tolist()
     [-0.1, -0.2, -3.0]
     """
-    world, pixels = as_correspondences(world, pixels)
+    world, pixels = as_correspondences(world, pixels, FEWEST_POINTS, "world")
     if noise_px is not None and not 0 < noise_px < math.inf:
         raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")
     P = projection_dlt(world, pixels)
@@ -106,7 +107,7 @@ def projection_dlt(world: ArrayLike, pixels: ArrayLike) -> Floats:
     -------
     (3, 4) of unit Frobenius norm, det P[:, :3] > 0
     """
-    world, pixels = as_correspondences(world, pixels)
+    world, pixels = as_correspondences(world, pixels, FEWEST_POINTS, "world")
     singular = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     if not singular[2] > _THINNEST * singular[0]:
         raise DegenerateConfiguration(
@@ -148,27 +149,6 @@ def design_matrix(world: Floats, pixels: Points) -> Floats:
     A[..., 1, 0:4] = X
     A[..., 1, 8:12] = -pixels[..., :1] * X
     return A.reshape(*world.shape[:-2], -1, 12)
-
-
-def as_correspondences(world: ArrayLike, pixels: ArrayLike) -> tuple[Floats, Points]:
-    """Return `world`, (N, 3), and `pixels`, (N, 2), as float64 arrays when they may determine a camera matrix.
-
-    Raises
-    ------
-    ShapeError
-        If an array has another shape or is not finite, or a number is too large.
-    TooFewPoints
-        If there are fewer than six points.
-    """
-    world, pixels = as_rows(world, 3, "world"), as_points(pixels, "pixels")
-    if len(world) != len(pixels):
-        raise ShapeError(f"pixels: {len(pixels)} points; need {len(world)}, one for each of world")
-    if len(world) < FEWEST_POINTS:
-        raise TooFewPoints(f"world, pixels: {len(world)} points; need at least {FEWEST_POINTS}")
-    largest = max(float(np.abs(world).max()), float(np.abs(pixels).max()))
-    if largest > _LARGEST:
-        raise ShapeError(f"world, pixels: up to {largest:g}; need numbers of the size of a scene and a picture")
-    return world, pixels
 
 
 class _ReprojectionProblem:

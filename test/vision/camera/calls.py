@@ -13,6 +13,7 @@ from imgu_ros.vision.camera.bundle import BundleProblem
 from imgu_ros.vision.camera.calibration import calibrate
 from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projection
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
+from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.decomposition import decompose_projection, rq
 from imgu_ros.vision.camera.distortion import bend, bend_with_derivatives, fold_radius, unbend
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
@@ -32,7 +33,7 @@ from imgu_ros.vision.camera.projection import (
     projection_matrix,
     world_to_camera,
 )
-from imgu_ros.vision.camera.resection import as_correspondences, design_matrix, fit_projection, projection_dlt
+from imgu_ros.vision.camera.resection import design_matrix, fit_projection, projection_dlt
 from imgu_ros.vision.camera.rigid import rigid_transform, rigid_transforms
 from imgu_ros.vision.camera.rotation import (
     as_rotation,
@@ -177,7 +178,7 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     planar_poses: lambda rng: flat(rng) | {"camera": camera()},
     best_of: lambda rng: flat(rng) | {"noise_px": 0.1, "correlation": np.eye(12)},
     fit_projection: lambda rng: pictured(rng) | {"noise_px": 0.1},
-    as_correspondences: pictured,
+    as_correspondences: lambda rng: {"points": rng.normal(size=(6, 3)), "pixels": rng.normal(size=(6, 2)), "fewest": 6},
     projection_dlt: pictured,
     design_matrix: pictured,
     estimate_projection: lambda rng: pictured(rng) | {"rng": np.random.default_rng(1), "threshold_px": 3.0},
