@@ -46,7 +46,8 @@ def simulated(sets: int) -> dict[str, object]:
     print(f"{sets} sets of {VIEWS} views, {NOISE_PX} px: mean normalised squared error of fx fy cx cy (4 is honest)")
     results: dict[str, object] = {}
     for model, (focal, k) in LENSES.items():
-        lens = make_camera([[focal, 0, 655], [0, 0.98 * focal, 350], [0, 0, 1]], k, model, 1280, 720)
+        K = np.array([[focal, 0, 655], [0, 0.98 * focal, 350], [0, 0, 1]])
+        lens = make_camera(K, k, model, 1280, 720)
         squared, theirs, ours_ms, theirs_ms = [], [], [], []
         for seed in range(sets):
             rng = np.random.default_rng(seed)
@@ -58,9 +59,9 @@ def simulated(sets: int) -> dict[str, object]:
             error = _main(found.camera.K) - _main(lens.K)
             squared.append(float(error @ np.linalg.solve(found.covariance[:4, :4], error)))
             start = time.perf_counter()
-            K = _opencv(views, lens)
+            their_K = _opencv(views, lens)
             theirs_ms.append(1e3 * (time.perf_counter() - start))
-            theirs.append([float(np.abs(error).max()), float(np.abs(_main(K) - _main(lens.K)).max())])
+            theirs.append([float(np.abs(error).max()), float(np.abs(_main(their_K) - _main(lens.K)).max())])
         worst = np.mean(theirs, axis=0)
         print(
             f"  {model:<20} {np.mean(squared):5.2f}   largest error px, ours {worst[0]:.2f}, OpenCV {worst[1]:.2f}"
