@@ -14,10 +14,11 @@ response, so that every descriptor of the chain can follow.
 
 Reached by `keypoints.detector`, `keypoints.max_count` and `keypoints.fast_arc`.
 
-Every detector looks at all that it finds, then `spread` keeps the strongest half of the wanted number wherever it lies
-and takes the other half cell by cell from a grid, so that one busy corner of the picture does not get them all.
-(`orb` spreads its strongest 2 `max_count`, as OpenCV stops there.) Orientation is the direction to the intensity
-centroid (`centroid_orientation`; for regions of any size `scaled_orientation`), for `dog` the histogram's peak.
+Every detector looks at all that it finds, then `spread` keeps the strongest half of the wanted number (`dog`: two
+thirds) wherever it lies and takes the others cell by cell from a grid, so that one busy corner of the picture does not
+get them all. (`orb` spreads its strongest 2 `max_count`, as OpenCV stops there.) Orientation is the direction to the
+intensity centroid (`centroid_orientation`; for regions of any size `scaled_orientation`), for `dog` the peaks of the
+histogram of gradient directions (`dominant_orientations`).
 
 How often keypoints are found again, beside OpenCV's own detectors, with time and memory: `docs/repeatability.md`.
 

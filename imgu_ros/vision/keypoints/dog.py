@@ -9,6 +9,7 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
+from imgu_ros.vision.keypoints.dominant import dominant_orientations
 from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.opencv import corners_from_opencv
 from imgu_ros.vision.keypoints.spreading import spread
@@ -18,6 +19,8 @@ SIFT_SIGMA_PX = 1.6
 
 #: OpenCV doubles the picture first, aligning pixel areas, and halves the coordinates, as if centres had been aligned.
 _SHIFT_PX = 0.25
+#: Of extrema of every size most are small and weak: more of the strongest than other detectors keep are found again.
+_STRONGEST_SHARE = 2 / 3
 _SIGMA_PER_SIZE = 0.5  # OpenCV's size is the diameter 2 sigma
 
 
@@ -34,7 +37,8 @@ def detect_dog(image: Image, max_count: int) -> Corners:
 
     Returns
     -------
-    Corners, strongest first; scale is the blur of the lower of the two Gaussians whose difference is extremal. A
+    Corners, strongest first; response is the contrast times the root of the scale, as the noise of a pixel counts less
+    the larger the structure; scale is the blur of the lower of the two Gaussians whose difference is extremal. A
     Gaussian blob of sigma s, as the picture shows it, answers at s^2 = 2^(1/3) scale^2 + 1/4.
 
     Raises
@@ -45,13 +49,22 @@ def detect_dog(image: Image, max_count: int) -> Corners:
     Notes
     -----
     Lowe, "Distinctive image features from scale-invariant keypoints", 2004, sections 3 to 5, in OpenCV's version.
-    Its directions come from bins of 10 degrees about the nearest pixel: a direction is good to about 2 degrees at
-    whole pixels and to 3 to 5 on the mean between them; of isolated blobs about one in twelve is missed.
+    Places and scales are OpenCV's; directions are `dominant_orientations`, as OpenCV's, about the nearest pixel, are
+    wrong by 1 to 6 degrees (rms). Blobs are found to 0.1 px up to a sigma of 8 px, beyond that to about 1.2 % of
+    sigma, and to 3 % in scale and 1.2 degrees at any size; of isolated ones about one in twelve is missed.
     OpenCV doubles the picture first: peak memory on 1920x1080: 465 to 575 MB.
     """
     image = as_image(image, dtypes=(np.uint8,))
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")
-    corners = corners_from_opencv(cv2.SIFT.create().detect(image, None), _SIGMA_PER_SIZE, with_angle=True)
-    corners = replace(corners, xy=corners.xy - _SHIFT_PX)
-    return corners.chosen(spread(corners.xy, corners.response, (image.shape[1], image.shape[0]), max_count))
+    found = corners_from_opencv(cv2.SIFT.create().detect(image, None), _SIGMA_PER_SIZE, with_angle=False)
+    # OpenCV repeats a place for each of the directions that it sees there.
+    _, first = np.unique(np.column_stack((found.xy, found.scale)), axis=0, return_index=True)
+    size = (image.shape[1], image.shape[0])
+    places = found.chosen(first)
+    places = replace(places, xy=places.xy - _SHIFT_PX, response=places.response * np.sqrt(places.scale))
+    # Only as many places as are wanted get directions, of which there may then be too many.
+    places = places.chosen(spread(places.xy, places.response, size, max_count, _STRONGEST_SHARE))
+    directions = dominant_orientations(image, places.xy, places.scale)
+    corners = replace(places.chosen(directions.index), angle=directions.angle)
+    return corners.chosen(spread(corners.xy, corners.response, size, max_count, _STRONGEST_SHARE))

@@ -10,8 +10,8 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices, Points, as_matrix, as_points
 
 
-def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> Indices:
-    """Choose up to `count` points: the strongest half, then in turns among the cells of a grid.
+def spread(xy: Points, response: Floats, size: tuple[int, int], count: int, strongest_share: float = 0.5) -> Indices:
+    """Choose up to `count` points: the strongest ones, then in turns among the cells of a grid.
 
     In the turns every cell's strongest point comes before any cell's second strongest, and so on; within a turn the
     stronger come first. The grid has about as many cells as half the wanted points.
@@ -22,6 +22,7 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> I
     response : (N,) larger is stronger
     size : (width, height) px
     count : wanted number, >= 1
+    strongest_share : share of `count` that is kept wherever it lies, 0 to 1
 
     Returns
     -------
@@ -30,9 +31,12 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> I
     Raises
     ------
     ShapeError
-        If the arrays do not fit each other or hold NaN or infinity, or count or size is not positive.
+        If the arrays do not fit each other or hold NaN or infinity, count or size is not positive, or the share
+        out of its range.
     """
     xy = as_points(xy, "xy")
+    if not 0 <= strongest_share <= 1:
+        raise ShapeError(f"strongest_share: {strongest_share}; need 0 to 1")
     response = as_matrix(response, (len(xy),), "response")
     if count < 1 or min(size) < 1:
         raise ShapeError(f"count, size: {count}, {size}; need positive numbers")
@@ -48,8 +52,8 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int) -> I
         starts = np.flatnonzero(np.r_[True, np.diff(cell[by_cell]) != 0])
         turn = np.empty(len(xy), np.intp)
         turn[by_cell] = np.arange(len(xy)) - np.repeat(starts, np.diff(np.r_[starts, len(xy)]))
-        # The strongest half is kept wherever it lies: a small target in front of a dull wall needs its points.
-        turn[: count // 2] = -1
+        # The strongest are kept wherever it lies: a small target in front of a dull wall needs its points.
+        turn[: math.floor(count * strongest_share)] = -1
         kept = np.sort(np.argsort(turn, kind="stable")[:count])
         strongest_first = strongest_first[kept]
     return strongest_first

@@ -10,6 +10,7 @@ import numpy as np
 
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.dog import detect_dog
+from imgu_ros.vision.keypoints.dominant import dominant_orientations
 from imgu_ros.vision.keypoints.fast import detect_fast
 from imgu_ros.vision.keypoints.harris import detect_harris, harris_response
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
@@ -53,6 +54,11 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     centroid_orientation: lambda rng: {"image": picture(rng), "xy": rng.uniform(0, 39, (5, 2)), "radius": 7},
     scaled_orientation: lambda rng: {
         "image": picture(rng).astype(np.float32),
+        "xy": rng.uniform(0, 39, (5, 2)),
+        "scale": rng.uniform(1, 9, 5),
+    },
+    dominant_orientations: lambda rng: {
+        "image": picture(rng),
         "xy": rng.uniform(0, 39, (5, 2)),
         "scale": rng.uniform(1, 9, 5),
     },
