@@ -79,10 +79,12 @@ def open_bag(paths: Sequence[Path]) -> Bag:
     Raises
     ------
     BagError
-        If one of the paths holds nothing that can be read; what is only in part readable becomes a warning.
+        If one of the paths holds nothing that can be read, or is named twice; what is only in part readable becomes a
+        warning.
     """
     if not paths:
         raise BagError(f"no bag given; {_NEED}")
+    _require_different(paths)
     with ExitStack() as stack:
         warnings = Warnings()
         storages = [storage for path in paths for storage in _storages(Path(path), warnings, stack)]
@@ -206,6 +208,18 @@ class Bag:
                 f"{channel.topic}: the message at {seconds(raw.time_ns)} is damaged and skipped: {error}",
                 kind=f"{channel.topic}: damaged messages",
             )
+
+
+def _require_different(paths: Sequence[Path]) -> None:
+    """Refuse a bag, or a file of a bag, beside itself: every frame would come twice."""
+    known: dict[Path, Path] = {}
+    for path in map(Path, paths):
+        real = path.resolve()
+        real = real.parent if real.name == METADATA else real
+        for earlier, given in known.items():
+            if earlier in (real, real.parent) or earlier.parent == real:
+                raise BagError(f"{path}: the same bag as {given}; need each bag once")
+        known[real] = path
 
 
 def _storages(path: Path, warnings: Warnings, stack: ExitStack) -> list[Storage]:

@@ -77,13 +77,13 @@ def replay(
         If the bag cannot be read, has no image topic, or not one frame in it could be decoded.
     """
     checked_record(record)
-    if not parameters.targets.images:
-        raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
     truths = () if truth is None else read_truth(truth)
     check_output_folder(out, overwrite=overwrite, inputs=bags)
-    targets = prepare_targets(load_target_images(parameters.targets), parameters)
     warnings = _Warnings(on_warning)
     with open_bag(bags) as bag:
+        if not parameters.targets.images:
+            raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
+        targets = prepare_targets(load_target_images(parameters.targets), parameters)
         warnings.add(bag.warnings)
         source = FrameSource(bag, parameters)
         warnings.add(bag.warnings, source.warnings)

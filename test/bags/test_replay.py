@@ -339,3 +339,18 @@ def test_damage_is_said_even_when_nothing_is_left(bag: Path, parameters: Paramet
     with pytest.raises(BagError, match="no image topic"):
         replay([tmp_path / "cut.mcap"], tmp_path / "out", parameters, on_warning=said.append)
     assert any("cut.mcap" in text for text in said)
+
+
+def test_a_missing_bag_is_said_before_a_missing_target(tmp_path: Path) -> None:
+    for values in ({}, {"targets.images": ["absent.png"]}):
+        with pytest.raises(BagError, match="absent_bag"):
+            replay([tmp_path / "absent_bag"], tmp_path / "out", parameters_from(values))
+
+
+def test_a_bag_named_twice_is_refused(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(bag)
+    (file,) = bag.glob("*.mcap")
+    for other in (bag, tmp_path / "link", bag / "metadata.yaml", file):
+        for both in ([bag, other], [other, bag]):
+            with pytest.raises(BagError, match=r"the same bag as .+; need each bag once$"):
+                open_bag(both)
