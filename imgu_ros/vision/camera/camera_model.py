@@ -68,6 +68,8 @@ def estimate_projection(
         if np.array_equal(agreeing, inliers) or np.count_nonzero(agreeing) < FEWEST_POINTS:
             break
         inliers = agreeing
+    else:
+        estimate = fit_projection(model.world[inliers], model.pixels[inliers])
     return ProjectionEstimate(estimate.P, estimate.covariance, inliers, estimate.rms_px, consensus.iterations)
 
 
