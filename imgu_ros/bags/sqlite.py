@@ -12,6 +12,10 @@ from rosbags.typesys.msg import normalize_msgtype
 from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds
 from imgu_ros.errors import BagError
 
+_BY_TIME, _BY_ID = "timestamp, id", "id"
+#: Rows of a damaged file that may come again, beyond as many as came once, before reading stops.
+_MANY_REPEATED = 100
+
 
 class SqliteStorage:
     """A SQLite file of rosbag2, of any of its schema versions.
@@ -98,24 +102,37 @@ class SqliteStorage:
     def _order_of_rows(self) -> str:
         """Return how rows are sorted: by time, or, in a cut file whose index is incomplete, as they were recorded."""
         try:
-            for _ in self._database.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY timestamp, id"):
+            for _ in self._database.execute(f"SELECT id, topic_id, timestamp FROM messages ORDER BY {_BY_TIME}"):
                 pass
-            return "timestamp, id"
+            return _BY_TIME
         except sqlite3.DatabaseError:
-            return "id"
+            return _BY_ID
 
     def _rows(self) -> Iterator[tuple[int, int, int]]:
         """Yield (row id, topic id, time) in order.
 
         Sorting takes these three alone: sorting whole messages would make SQLite copy the bag into temporary files.
-        A cut file gives its rows until the first page that is missing.
+        A cut file gives its rows until the first page that is missing. A damaged one may give rows again, without an
+        end: each counts once.
         """
+        by_time = self._order != _BY_ID
+        last = (-1, -(2**63))
+        given = repeated = 0
         cursor = self._database.cursor()
         try:
             cursor.execute(f"SELECT id, topic_id, timestamp FROM messages ORDER BY {self._order}")
             for row, identity, time_ns in cursor:  # not fetchmany: it loses the rows before a missing page
-                if type(identity) is int and type(time_ns) is int and 0 <= time_ns <= MAX_TIME_NS:
+                if type(identity) is not int or type(time_ns) is not int or not 0 <= time_ns <= MAX_TIME_NS:
+                    continue
+                place = (time_ns if by_time else 0, row)
+                if place > last:
+                    last = place
+                    given += 1
                     yield row, identity, time_ns
+                    continue
+                repeated += 1
+                if repeated > given + _MANY_REPEATED:
+                    raise sqlite3.DatabaseError("rows come again and again")
         except sqlite3.DatabaseError as error:
             self._warnings.add(f"{self._name}: cut short or damaged ({error}): what could be read was read")
         finally:

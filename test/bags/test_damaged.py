@@ -298,6 +298,18 @@ def small_bags(tmp_path_factory):
     return files
 
 
+@pytest.mark.parametrize("at", [28_000, 28_800, 31_000, 33_500, 36_000])
+def test_a_sqlite_bag_that_lacks_a_byte_comes_to_an_end(at, small_bags, tmp_path):
+    """SQLite gives the rows of such a file again and again."""
+    whole = small_bags["sqlite3_none"]
+    path = tmp_path / "damaged"
+    path.write_bytes(whole[:at] + whole[at + 1 :])
+    with open_bag([path]) as bag:
+        assert bag.message_count <= 24
+        assert sum(1 for _ in bag.messages()) <= 24
+        assert bag.warnings
+
+
 @st.composite
 def damage(draw):
     """A function that damages some bytes."""
