@@ -57,22 +57,22 @@ CHANGES: tuple[tuple[str, str], ...] = (
     ("preprocess.equalisation:=clahe", "shadow and sun in one picture; infrared"),
     ("preprocess.edges:=strength", "contrast that turns round between picture and frame: infrared, back light"),
     ("preprocess.threshold:=otsu", "black and white targets in even light"),
-    ("preprocess.threshold:=fixed", "as otsu, where the exposure is known: set `preprocess.threshold_value` to it"),
-    ("pyramid.kind:=coarse", "speed, when the target's distance changes little"),
+    ("preprocess.threshold:=fixed", "as otsu, at a `preprocess.threshold_value` that fits; 128 is too bright here"),
+    ("pyramid.kind:=coarse", "speed"),
     ("pyramid.kind:=laplacian", "slow changes of light across the picture"),
     ("pyramid.kernel:=discrete", "scale space by the book: its kernels can be composed exactly"),
     ("pyramid.kernel:=recursive", "strong `preprocess.smoothing_px`: its cost is the same at every width"),
-    ("keypoints.detector:=fast", "many corners quickly, on machines and drawings"),
+    ("keypoints.detector:=fast", "corners of drawings and machines"),
     ("keypoints.detector:=harris", "the corners that are found again best, where time allows"),
     ("keypoints.detector:=moravec", "to compare with history"),
     ("keypoints.detector:=dog", "few corners: blobs of every size, placed to a fraction of a pixel"),
     ("keypoints.detector:=mser", "few corners: even regions, such as letters and signs"),
-    ("descriptor.kind:=sift", "strong tilt and blur, when ORB finds too little"),
-    ("descriptor.kind:=rootsift", "as SIFT, and nearly always better"),
+    ("descriptor.kind:=sift", "when ORB finds too little, and time allows"),
+    ("descriptor.kind:=rootsift", "as SIFT, less swayed by single strong gradients"),
     ("descriptor.kind:=brief", "an upright camera: more is told apart when nothing turns"),
     ("descriptor.kind:=patch", "to see what is compared"),
-    ("descriptor.kind:=sift matching.metric:=cosine", "the same ranking as euclidean, within rounding"),
-    ("descriptor.kind:=rootsift matching.metric:=cosine", "the same ranking as euclidean, other quotients"),
+    ("descriptor.kind:=sift matching.metric:=cosine", "as euclidean, with a milder ratio test"),
+    ("descriptor.kind:=rootsift matching.metric:=cosine", "as euclidean, with a milder ratio test"),
     ("descriptor.kind:=patch matching.metric:=zmssd", "light that gets brighter, but has no more contrast"),
     ("descriptor.kind:=patch matching.metric:=ssd", "light that never changes, a target taken by the same camera"),
     ("descriptor.kind:=patch matching.metric:=ssd preprocess.equalisation:=global", "ssd in a new light"),
@@ -256,9 +256,9 @@ these, `demosaic.method` alone costs anything there. Alignment starts wherever t
 as it came: as long as the target is found, it hides most differences.
 
 What makes no sense together is refused at start, with the reason: a metric that does not fit the descriptor; `dog` or
-`mser` on bands (`pyramid.kind` `laplacian`) or on edges; edges of a thresholded picture. Everything else goes with
-everything: the test suite runs every pair of choices, and `python benchmarks/combinations.py` all {all} combinations of
-detector, descriptor, metric, sampler, refinement and kernel.
+`mser` on bands (`pyramid.kind` `laplacian`), on edges or on a thresholded picture; edges of a thresholded picture.
+Everything else goes with everything: the test suite runs every pair of choices, and `python benchmarks/combinations.py`
+all {all} combinations of detector, descriptor, metric, sampler, refinement and kernel.
 
 Made by `python benchmarks/combinations.py --quick --markdown docs/one-word-changes.md`.
 """
