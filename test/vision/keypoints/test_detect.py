@@ -192,7 +192,8 @@ def test_read_only_views_and_repeatability(detector):
     view.flags.writeable = False
     first, second = (detect(build_pyramid(p, levels=1), detector, 60) for p in (view, view.copy()))
     np.testing.assert_array_equal(first.xy, second.xy)
-    np.testing.assert_array_equal(first.angle, second.angle)
+    # Where a picture lies in memory decides the order of OpenCV's float sums.
+    np.testing.assert_allclose(first.angle, second.angle, atol=1e-8)
 
 
 @pytest.mark.parametrize("detector", DETECTORS)
