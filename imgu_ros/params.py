@@ -259,7 +259,7 @@ class HomographyParameters:
     )
     refine: str = parameter(
         "levenberg_marquardt",
-        "How the inliers' error is minimised.",
+        "How the inliers' error is minimised; with `none`, or the error `algebraic`, the linear fit stays.",
         choices=("none", "steepest_descent", "gauss_newton", "levenberg_marquardt"),
     )
 
