@@ -80,7 +80,8 @@ def described(result: Result) -> str:
     if target.pose is not None:
         position, sigma = target.pose.t, np.sqrt(np.diag(target.pose.covariance))
         lines.append(
-            "  position    " + ", ".join(f"{p:.4f} ± {s:.4f}" for p, s in zip(position, sigma, strict=False)) + " m"
+            f"  position    {', '.join(f'{p:.5f}' for p in position)} m, "
+            f"± {', '.join(f'{1e3 * s:.2g}' for s in sigma[:3])} mm"
         )
         lines.append(f"  rotation    ± {', '.join(f'{s:.3f}' for s in np.rad2deg(sigma[3:]))} deg")
     elif target.pose_status:
