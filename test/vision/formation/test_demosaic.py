@@ -188,9 +188,10 @@ def test_neither_strips_nor_threads_matter(method, dtype, monkeypatch):
     raw = random_raw((261, 173), dtype, 6)
     cv2.setNumThreads(1)
     whole = demosaic(raw, "grbg", method)
-    for quads, count in ((1, 1), (1, 2), (5000, 3)):
+    monkeypatch.setattr(strips, "_FEWEST_QUADS", 1)
+    for size, count in ((1, 1), (1, 2), (1 << 14, 3)):
         cv2.setNumThreads(count)
-        monkeypatch.setattr(strips, "_QUADS", quads)
+        monkeypatch.setattr(strips, "_FIELD_BYTES", size)
         np.testing.assert_array_equal(demosaic(raw, "grbg", method), whole)
 
 

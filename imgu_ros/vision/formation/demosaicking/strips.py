@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,8 +15,11 @@ from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern, as_mosaic
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads
 
-#: Quads of a strip: enough that calls cost little, few enough that the fields stay in a core's cache.
-_QUADS = 1 << 16
+#: Bytes of a field in a strip: enough that calls cost little beside their work and threads seldom wait for one another,
+#: few enough that the fields stay in a core's cache.
+_FIELD_BYTES = 1 << 18
+#: Quads that a thread of its own pays for.
+_FEWEST_QUADS = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +73,9 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
     out = np.empty((height, width, 3), raw.dtype)
     rows, columns = extended.shape[0] // 2 - rim, extended.shape[1] // 2 - rim
     whole = (2 * rows, 2 * columns) == raw.shape
-    count = -(-rows // max(2 * rim, _QUADS // (columns + rim)))
+    threads = max(1, min(cv2.getNumThreads(), rows * columns // _FEWEST_QUADS))
+    quads = min(_FIELD_BYTES // _dtype(recipe, raw).itemsize, rows * columns // threads + 1)
+    count = -(-rows // max(2 * rim, quads // (columns + rim)))
 
     def work(index: int) -> None:
         first, last = rows * index // count, rows * (index + 1) // count
@@ -84,9 +90,8 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
         skipped = begin + row - 2 * first
         out[begin:end] = colors[skipped : skipped + end - begin, column : column + width]
 
-    workers = min(count, cv2.getNumThreads())
-    if workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
+    if threads > 1:
+        with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, range(count)))
     else:
         for index in range(count):
@@ -97,9 +102,7 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
 def _develop(strip: Image, recipe: Recipe, out: Image) -> None:
     """Write the colours of a strip that starts at a red site, without its rim, to `out`."""
     height, width = strip.shape[0] // 2, strip.shape[1] // 2
-    # Pairs of 16-bit integers are made rows of bytes in the order of little-endian machines.
-    integer = recipe.integer and strip.dtype == np.uint8 and sys.byteorder == "little"
-    dtype = np.dtype(np.int16 if integer else np.float32)
+    dtype = _dtype(recipe, strip)
     fields = []
     for row in (0, 1):
         for plane in cv2.split(strip[row::2].reshape(height, width, 2)):
@@ -111,10 +114,17 @@ def _develop(strip: Image, recipe: Recipe, out: Image) -> None:
     found = recipe.missing(q)
     upper = (red, found.red_by_red), (found.green_at_red, green_by_red), (found.blue_at_red, found.blue_by_red)
     lower = (found.red_by_blue, found.red_at_blue), (green_by_blue, found.green_at_blue), (found.blue_by_blue, blue)
-    row_of = _row_of_integers if integer else _row
+    row_of = _row_of_integers if dtype.kind == "i" else _row
     for first, pairs in enumerate((upper, lower)):
         rows = [row_of(even, odd, fields, recipe, out.dtype) for even, odd in pairs]
         cv2.merge(rows, dst=out[first::2])
+
+
+def _dtype(recipe: Recipe, raw: Image) -> np.dtype[Any]:
+    """Return what fields hold."""
+    # Pairs of 16-bit integers are made rows of bytes in the order of little-endian machines.
+    integer = recipe.integer and raw.dtype == np.uint8 and sys.byteorder == "little"
+    return np.dtype(np.int16 if integer else np.float32)
 
 
 def _row_of_integers(
