@@ -25,7 +25,7 @@ from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.play_report import PlayReport, Span
 from imgu_ros.ros.prefetch import Prefetch
-from imgu_ros.ros.process import init_ros
+from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
 from imgu_ros.ros.stopping import Stopped, StopSignal
 
@@ -120,6 +120,7 @@ class _Player:
         self._create_publishers()
         with contextlib.suppress(Stopped):
             self._wait_for_subscribers()
+            spare_collector()
             self._publish_all()
         self._finish()
         for warning in self._bag.warnings:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import sys
@@ -51,6 +52,7 @@ def run_node(make_node: Callable[[], Node], ros_arguments: Sequence[str], stop: 
         try:
             with stop.interruptible():
                 node.start()  # type: ignore[attr-defined]
+            spare_collector()
             _spin(node, stop)
         finally:
             finished = node.close()  # type: ignore[attr-defined]
@@ -66,6 +68,15 @@ def run_node(make_node: Callable[[], Node], ros_arguments: Sequence[str], stop: 
         sys.stderr.flush()
         os._exit(0)
     return 0
+
+
+def spare_collector() -> None:
+    """Take all objects that exist now out of Python's garbage collections; call it when the work begins.
+
+    The modules alone hold 60,000 objects. To go through them takes 30 ms, half a frame's time at 15 Hz.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def init_ros(ros_arguments: Sequence[str]) -> None:
