@@ -83,6 +83,8 @@ def main() -> int:
         count = round(arguments.seconds * arguments.rate)
         motion = Motion(arguments.views, arguments.motion_frames)
         write_bag(Path(folder), (width, height), arguments.rate, count, motion)
+        # What is still to be written to the disk would hold up those who read from it.
+        os.sync()
         figures = measure(Path(folder), arguments, count)
     text = json.dumps(asdict(figures), indent=2)
     print(text)

@@ -234,7 +234,10 @@ FOLDERS = (".ci", "benchmarks", "config", "docs", "imgu_ros", "launch", "resourc
 
 
 def test_repository_names_no_machine() -> None:
-    files = [path for path in REPOSITORY.iterdir() if path.is_file() and path.name != ".git"]
+    files = [
+        path for path in REPOSITORY.iterdir() if path.is_file() and not path.name.startswith((".git", ".coverage"))
+    ]
+    files += [REPOSITORY / ".gitignore"]
     files += [path for folder in FOLDERS for path in (REPOSITORY / folder).rglob("*") if path.is_file()]
     found = [
         f"{path.relative_to(REPOSITORY)}:{number}: {line.strip()}"
