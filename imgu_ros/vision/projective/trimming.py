@@ -65,7 +65,7 @@ def trimmed_homography(
         raise ShapeError(f"threshold_px, min_points: {threshold_px!r}, {min_points!r}; need > 0, at least 4")
     H = normalised_homography(as_matrix(start, (3, 3), "start"))
     if len(src) < min_points:
-        raise NoConsensus(f"patches: {len(src)} agree; need {min_points}")
+        raise NoConsensus(f"src, dst: {len(src)} correspondences agree; need {min_points}")
     T_src, T_dst = normalisation(src), normalisation(dst)
     unit = float(T_dst[0, 0])
     scaled = normalised_homography(T_dst @ H @ np.linalg.inv(T_src))
@@ -95,4 +95,4 @@ def trimmed_homography(
 
 def _require(kept: Mask, min_points: int) -> None:
     if np.count_nonzero(kept) < min_points:
-        raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
+        raise NoConsensus(f"src, dst: {np.count_nonzero(kept)} correspondences agree; need {min_points}")

@@ -55,7 +55,7 @@ def test_what_cannot_be_fitted_is_refused(points: np.ndarray) -> None:
     dst = transform(H, points)
     with pytest.raises(NoConsensus, match="need 5"):
         trimmed_homography(points, dst + 50, H, 1.5)
-    with pytest.raises(NoConsensus, match="3 agree"):
+    with pytest.raises(NoConsensus, match="3 correspondences agree"):
         trimmed_homography(points[:3], dst[:3], H, 1.5)
     with pytest.raises(DegenerateConfiguration, match="coincide"):
         trimmed_homography(np.zeros((10, 2)), np.zeros((10, 2)), np.eye(3), 1.5)
