@@ -176,19 +176,24 @@ def test_bad_frames_are_said_and_do_not_stop_the_node(node, world, peer):
         (second, {"step": 7}),
         (third, {"height": 0}),
     ):
-        camera.send(frame, **changes)
         count = len(peer.heard["/status"])
+        camera.send(frame, **changes)
         peer.wait(lambda n=count: len(peer.heard["/status"]) > n, f"status of a frame with {changes}")
         assert values(peer.heard["/status"][-1], "poster")["status"] == "rejected"
     camera.send(last, K_zero=True)
-    peer.wait(lambda: values(peer.heard["/status"][-1], "poster")["status"] == "detected", "a good frame")
+    peer.wait(lambda: values(peer.heard["/status"][-1], "poster")["status"] != "rejected", "a good frame")
+    assert values(peer.heard["/status"][-1], "poster")["status"] == "detected"
     assert values(peer.heard["/status"][-1], "poster")["pose_status"] == "uncalibrated"
-    peer.wait(lambda: values(peer.heard["/diagnostics"][-1], "input")["rejected"] == "3", "diagnostics")
+    # Diagnostics come once a second: on a fast machine none may have come yet.
+    peer.wait(
+        lambda: peer.heard["/diagnostics"] and values(peer.heard["/diagnostics"][-1], "input")["rejected"] == "3",
+        "diagnostics",
+    )
     assert values(peer.heard["/diagnostics"][-1], "input")["unknown_encodings"] == "1"
     assert "bayer_rgbg8" in node.text
     node.wait_for_line("uncalibrated: all-zero K in camera_info on /cam/camera_info")
-    camera.send(replace(last, stamp_ns=last.stamp_ns + 1), K_zero=True)
     count = len(peer.heard["/status"])
+    camera.send(replace(last, stamp_ns=last.stamp_ns + 1), K_zero=True)
     peer.wait(lambda: len(peer.heard["/status"]) > count, "another frame")
     peer.spin(0.2)
     assert node.text.count("uncalibrated") == 1
