@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 HELP = "find a target in an image file: homography, and the pose when the camera is given"
 
+#: `vision.processing.interpolation` has the same; importing it would cost `--help` half a second.
+INTERPOLATIONS = ("area", "nearest", "linear", "cubic")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -27,6 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--draw", type=Path, metavar="FILE",
         help="write the image with the find drawn over to FILE; .svg and .pdf: drawn as vectors",
+    )  # fmt: skip
+    parser.add_argument(
+        "--warp", type=Path, metavar="FILE",
+        help="write the target as IMAGE shows it, seen straight on, on the pixel grid of TARGET, to FILE",
+    )  # fmt: skip
+    parser.add_argument(
+        "--interpolation", choices=INTERPOLATIONS,
+        help="of --warp; default: area, the mean over a pixel's area where IMAGE shows more detail than TARGET",
     )  # fmt: skip
     parser.add_argument("--width-m", type=float, metavar="W", help="printed width of the target, m; for the pose")
     parser.add_argument("--camera-info", type=Path, metavar="YAML", help="calibration of the camera; for the pose")
@@ -43,7 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.perception.targets import prepare_targets
 
     targets = prepare_targets(load_target_images(parameters.targets), parameters)
-    frame = _frame(arguments, parameters)
+    frame = _frame(arguments)
+    if arguments.warp:
+        _check_warp(arguments.warp, frame)
     result = Chain(parameters, targets).process(frame)
     found = result.targets[0]
     print(described(result))
@@ -55,6 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
         from imgu_ros.report.overlay import write_overlay
 
         write_overlay(arguments.draw, result)
+    if arguments.warp and found.homography is not None:
+        _write_warped(arguments, result, targets[0].size)
     if found.status.found:
         return 0
     print(f"imgu: error: {arguments.image}: {found.name} not found: {result.reason or found.reason}", file=sys.stderr)
@@ -128,13 +143,45 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
     """Before the work, not after it."""
     from imgu_ros.errors import FileError
 
-    for path in (arguments.json, arguments.draw):
+    for path in (arguments.json, arguments.draw, arguments.warp):
         if path is not None and not path.absolute().parent.is_dir():
             raise FileError(f"{path}: its folder does not exist; need a place that can be written")
     if arguments.draw:
         from imgu_ros.report.overlay import check_overlay_suffix
 
         check_overlay_suffix(arguments.draw)
+    if arguments.warp:
+        from imgu_ros.files.images import check_image_file
+
+        check_image_file(arguments.warp)
+    elif arguments.interpolation:
+        from imgu_ros.errors import ParameterError
+
+        raise ParameterError(f"--interpolation: {arguments.interpolation} without --warp; need --warp FILE")
+
+
+def _check_warp(path: Path, frame: Frame) -> None:
+    """Whether the file can hold the frame's data type and channels, colours for a mosaic."""
+    import numpy as np
+
+    from imgu_ros.files.images import check_image_file
+    from imgu_ros.vision.formation.layout import ColorModel
+
+    colored = frame.image.layout.color is not ColorModel.MONO
+    check_image_file(path, np.zeros((1, 1, 3) if colored else (1, 1), frame.image.pixels.dtype))
+
+
+def _write_warped(arguments: argparse.Namespace, result: Result, size: tuple[int, int]) -> None:
+    from imgu_ros.files.images import write_image
+    from imgu_ros.perception.rectifying import rectified
+    from imgu_ros.vision.formation.layout import ColorModel
+
+    frame, homography = result.frame, result.targets[0].homography
+    mosaic = frame.image.layout.color is ColorModel.BAYER
+    scene = result.developed.color() if mosaic and result.developed is not None else frame.image.pixels
+    if homography is not None:
+        way = arguments.interpolation or INTERPOLATIONS[0]
+        write_image(arguments.warp, rectified(scene, homography.H, size, frame.camera, way))
 
 
 def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Parameters:
@@ -148,7 +195,7 @@ def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Param
     )
 
 
-def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
+def _frame(arguments: argparse.Namespace) -> Frame:
     from imgu_ros.files.images import read_image
     from imgu_ros.perception.frame import Frame
     from imgu_ros.vision.formation.cfa import BayerPattern

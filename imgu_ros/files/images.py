@@ -92,20 +92,41 @@ def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality
         If `pixels` is not an image.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _WRITABLE:
-        raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(_WRITABLE)}")
-    channels, dtypes = _WRITABLE[suffix]
+    check_image_file(path, pixels)
     pixels = as_image(pixels, "image", (1, 3))
-    try:
-        as_image(pixels, "image", channels, dtypes)
-    except ShapeError as error:
-        raise FileError(f"{path}: {error} in a {suffix} file") from None
-    encoded = _encoded(path, suffix, pixels, plain, quality)
+    encoded = _encoded(path, path.suffix.lower(), pixels, plain, quality)
     try:
         path.write_bytes(encoded)
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+
+
+def check_image_file(path: Path | str, pixels: Image | None = None) -> None:
+    """Check before the work that `write_image` will know the format, and that it can hold such pixels.
+
+    Parameters
+    ----------
+    path : of the file to be
+    pixels : of the data type and the channels to be, of any size; None: not known yet
+
+    Raises
+    ------
+    FileError
+        If the format is unknown, or cannot hold these pixels.
+    ShapeError
+        If `pixels` is not an image.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _WRITABLE:
+        raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(_WRITABLE)}")
+    if pixels is None:
+        return
+    pixels = as_image(pixels, "image", (1, 3))
+    try:
+        as_image(pixels, "image", *_WRITABLE[suffix])
+    except ShapeError as error:
+        raise FileError(f"{path}: {error} in a {suffix} file") from None
 
 
 def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dtype[np.generic]) -> Image:

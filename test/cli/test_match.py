@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.cli.main import main
+from imgu_ros.cli.match import INTERPOLATIONS
 from imgu_ros.files.camera_info_file import write_camera_info
 from imgu_ros.files.images import read_image, write_image
 from imgu_ros.simulate.geometry import image_from_template, rotation_about, target_from_template
@@ -16,6 +17,7 @@ from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
+from imgu_ros.vision.processing.interpolation import Interpolation
 
 SIZE = (640, 480)
 TEMPLATE = (480, 360)
@@ -78,6 +80,60 @@ def test_a_mosaic(scene: Path, tmp_path: Path) -> None:
     assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.5
 
 
+def psnr(picture: np.ndarray, truth: np.ndarray) -> float:
+    """Without a margin of 8 px, where the view's surroundings come in."""
+    difference = (picture.astype(float) - truth)[8:-8, 8:-8]
+    return float(20 * np.log10(255 / np.sqrt((difference**2).mean())))
+
+
+def test_warp_draws_the_target_straight_on(scene: Path, tmp_path: Path) -> None:
+    truth = read_image(scene / "poster.png")
+    blurred = {}
+    for name in ("area", "cubic"):
+        path = tmp_path / f"{name}.png"
+        options = ["--warp", str(path), "--interpolation", name]
+        assert main(["match", str(scene / "poster.png"), str(scene / "view.png"), *options]) == 0
+        rectified = read_image(path)
+        assert rectified.shape == truth.shape and rectified.dtype == truth.dtype
+        # The view is the smaller of the two: what it lost in detail is lost.
+        blurred[name] = psnr(rectified, truth)
+        by_truth = cv2.warpPerspective(read_image(scene / "view.png"), np.linalg.inv(H), TEMPLATE)
+        assert psnr(rectified, by_truth) > 34
+    assert min(blurred.values()) > 20
+    assert blurred["area"] != blurred["cubic"]
+
+
+def test_warp_of_a_mosaic_through_a_lens(scene: Path, tmp_path: Path) -> None:
+    camera = make_camera(CAMERA.K, (-0.25, 0.05), "plumb_bob", *SIZE)
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]].reshape(2, -1).astype(float)
+    ideal = camera.ideal_pixels(np.column_stack((x, y)))[0].astype(np.float32).reshape(SIZE[1], SIZE[0], 2)
+    bent = cv2.remap(read_image(scene / "view.png"), ideal, None, cv2.INTER_CUBIC, borderValue=(90, 90, 90))
+    write_image(tmp_path / "bent.png", mosaic(bent, BayerPattern.RGGB).astype(np.uint16) * 257)
+    write_camera_info(tmp_path / "lens.yaml", camera)
+    options = ["--pattern", "rggb", "-p", "demosaic.method:=residual", "-p", "raw.significant_bits:=16"]
+    options += ["--camera-info", str(tmp_path / "lens.yaml"), "--warp", str(tmp_path / "warped.tif")]
+    assert main(["match", str(scene / "poster.png"), str(tmp_path / "bent.png"), *options]) == 0
+    rectified = read_image(tmp_path / "warped.tif")
+    assert rectified.dtype == np.uint16 and rectified.shape == (*TEMPLATE[::-1], 3)
+    by_truth = cv2.warpPerspective(read_image(scene / "view.png"), np.linalg.inv(H), TEMPLATE)
+    assert psnr(rectified / 257, by_truth) > 28
+
+
+def test_warp_of_a_grey_picture_is_grey_and_none_is_written_when_nothing_is_found(scene: Path, tmp_path: Path) -> None:
+    grey = cv2.cvtColor(read_image(scene / "view.png"), cv2.COLOR_RGB2GRAY)
+    write_image(tmp_path / "grey.png", grey)
+    out = tmp_path / "warped.pgm"
+    assert main(["match", str(scene / "poster.png"), str(tmp_path / "grey.png"), "--warp", str(out)]) == 0
+    assert read_image(out).shape == TEMPLATE[::-1]
+    out.unlink()
+    assert main(["match", str(scene / "poster.png"), str(scene / "blank.png"), "--warp", str(out)]) == 1
+    assert not out.exists()
+
+
+def test_interpolations_are_those_of_the_library() -> None:
+    assert set(INTERPOLATIONS) == set(Interpolation)
+
+
 def test_not_found_exits_1_with_the_reason(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["match", str(scene / "poster.png"), str(scene / "blank.png")]) == 1
     said = capsys.readouterr()
@@ -100,6 +156,10 @@ def test_not_found_exits_1_with_the_reason(scene: Path, capsys: pytest.CaptureFi
         ("poster.png", "poster.png", ["--camera-info", "camera.yaml"], "need the same size"),
         ("poster.png", "view.png", ["--draw", "m.xyz"], "need one of .png"),
         ("poster.png", "view.png", ["--draw", "no/such/folder/m.svg"], "m.svg"),
+        ("poster.png", "view.png", ["--warp", "w.svg"], "need one of .png"),
+        ("poster.png", "view.png", ["--warp", "w.pgm"], "need (H, W) in a .pgm file"),
+        ("poster.png", "view.png", ["--warp", "no/such/folder/w.png"], "w.png"),
+        ("poster.png", "view.png", ["--interpolation", "cubic"], "need --warp"),
         ("poster.png", "view.png", ["--json", "no/such/folder/m.json"], "m.json"),
         ("poster.png", "view.png", ["-p", "matching.ratio:=2.0"], "matching.ratio"),
     ],

@@ -14,6 +14,7 @@ Everything here takes an image, `(H, W)` or `(H, W, 3)` in uint8, uint16 or floa
 | `edges` | edge strength, its threshold, Canny | outlines |
 | `interpolation` | values between pixels, resizing: nearest, linear, cubic, area | sub-pixel samples, scaling |
 | `warping` | projective, affine, similarity warps; rotation about a point, of the whole picture | another view |
+| `remapping` | warps by any map, given point by point | through a lens |
 
 Smoothing by Gaussians is in the next chapter, `scale_space`.
 

@@ -29,6 +29,14 @@ class Interpolation(Choice):
     AREA = "area"  #: the mean over the area of the new pixel, for reducing; `resized` only
 
 
+#: The same, where a picture is looked up at points, in OpenCV's words.
+CV_SAMPLING: dict[Interpolation, int] = {
+    Interpolation.NEAREST: cv2.INTER_NEAREST,
+    Interpolation.LINEAR: cv2.INTER_LINEAR,
+    Interpolation.CUBIC: cv2.INTER_CUBIC,
+}
+
+
 def resized(image: Image, size: Sequence[int], interpolation: Interpolation | str = Interpolation.LINEAR) -> Image:
     """Scale an image to a size.
 

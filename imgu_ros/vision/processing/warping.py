@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Matrix3, Points, as_image, as_matrix
 from imgu_ros.vision.processing.borders import CV_BORDERS, Border, border_values
-from imgu_ros.vision.processing.interpolation import MOST_SIDE_PX, Interpolation, checked_size
+from imgu_ros.vision.processing.interpolation import CV_SAMPLING, MOST_SIDE_PX, Interpolation, checked_size
 from imgu_ros.vision.processing.points import require_range
 
 _LARGEST_PX = 1e9
@@ -87,7 +87,7 @@ def warped(
         image,
         inverse,
         out_size,
-        flags=_CV_INTERPOLATION[interpolation] | cv2.WARP_INVERSE_MAP,
+        flags=CV_SAMPLING[interpolation] | cv2.WARP_INVERSE_MAP,
         borderMode=CV_BORDERS[border],
         borderValue=border_values(image.dtype, border, value),
     )
@@ -241,10 +241,3 @@ def _inverse(H: Matrix3) -> Matrix3:
             if np.isfinite(inverse).all():
                 return np.asarray(inverse / np.abs(inverse).max())
     raise ShapeError("H: singular; need an invertible matrix")
-
-
-_CV_INTERPOLATION: dict[Interpolation, int] = {
-    Interpolation.NEAREST: cv2.INTER_NEAREST,
-    Interpolation.LINEAR: cv2.INTER_LINEAR,
-    Interpolation.CUBIC: cv2.INTER_CUBIC,
-}

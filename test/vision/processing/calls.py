@@ -14,6 +14,7 @@ from imgu_ros.vision.processing import (
     histograms,
     interpolation,
     points,
+    remapping,
     separability,
     thresholding,
     warping,
@@ -78,6 +79,9 @@ CALLS: dict[Callable, Callable[[np.random.Generator], dict[str, object]]] = {
     interpolation.checked_size: lambda rng: {"size": (3, 4)},
     interpolation.sampled: lambda rng: {
         "image": _real(rng), "xy": rng.uniform(-2, 9, (5, 2)), "interpolation": "cubic", "value": 0.0,
+    },
+    remapping.remapped: lambda rng: {
+        "image": _real(rng), "xy": rng.uniform(-2, 9, (5, 6, 2)), "interpolation": "cubic", "value": 0.5,
     },
     warping.warped: lambda rng: {
         "image": _real(rng), "H": np.eye(3) + 0.01 * rng.normal(size=(3, 3)), "size": (7, 6), "value": 0.5,

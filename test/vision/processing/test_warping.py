@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.vision.processing.interpolation import resized, sampled
+from imgu_ros.vision.processing.remapping import remapped
 from imgu_ros.vision.processing.warping import rotated, rotation_about, warped, whole_picture
 
 #: OpenCV before version 5 rounds places to 1/32 px.
@@ -239,3 +240,24 @@ def test_precision_of_linear_warps():
 def test_bad_input_is_refused(call):
     with pytest.raises(ShapeError, match=r"^[^\n]+need[^\n]+$"):
         call()
+
+
+@pytest.mark.parametrize("way", ["nearest", "linear", "cubic"])
+def test_a_map_of_a_homography_is_its_warp(way: str) -> None:
+    H = np.array([[1.1, 0.2, -3], [-0.1, 0.9, 4], [1e-3, 2e-3, 1]])
+    y, x = np.mgrid[0:30, 0:40].astype(float)
+    mapped = np.stack((x, y, np.ones_like(x)), axis=-1) @ np.linalg.inv(H).T
+    picture = np.random.default_rng(2).integers(0, 256, (30, 40, 3), np.uint8)
+    smooth = np.asarray(np.cumsum(np.cumsum(picture // 64, axis=0), axis=1) % 65536, np.uint16)
+    got = remapped(smooth, mapped[..., :2] / mapped[..., 2:], way, "replicated").astype(int)
+    assert (np.abs(got - warped(smooth, H, None, way, "replicated")) > 40).mean() < 0.01
+
+
+def test_a_map_by_hand_and_bad_ones() -> None:
+    row = np.array([[10, 20, 40]], np.uint8)
+    assert remapped(row, [[[0.5, 0], [1.75, 0], [7, 0]]], value=3).tolist() == [[15, 35, 3]]
+    for xy in ([[0.0, 0.0]], np.zeros((0, 3, 2)), [[[np.nan, 0]]], [[[1e5, 0]]]):
+        with pytest.raises(ShapeError, match="xy"):
+            remapped(row, xy)
+    with pytest.raises(ShapeError, match="area"):
+        remapped(row, [[[0, 0]]], "area")
