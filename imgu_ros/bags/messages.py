@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from functools import cache
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.errors import BagError, ShapeError
+from imgu_ros.types import Image
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -38,18 +41,15 @@ def make_message(type_name: str, /, **fields: object) -> Any:
     ShapeError
         If an array has another length or data type than its field.
     """
-    layout = message_layout(type_name)
-    unknown = fields.keys() - layout.keys()
-    if unknown:
-        raise BagError(f"{type_name}: no field {sorted(unknown)[0]!r}; need one of {', '.join(layout)}")
-    values: dict[str, Any] = {
-        name: _converted(f"{type_name}.{name}", kind, fields[name]) if name in fields else _default(kind)
-        for name, kind in layout.items()
+    layout = _layout(type_name)
+    for name in fields:
+        if name not in layout.fields:
+            raise BagError(f"{type_name}: no field {name!r}; need one of {', '.join(layout.fields)}")
+    values = {
+        name: field.convert(fields[name]) if name in fields else field.default()
+        for name, field in layout.fields.items()
     }
-    for name, value in _NONZERO_DEFAULTS.get(type_name, {}).items():
-        if name not in fields:
-            values[name] = value
-    return typestore().types[type_name](**values)
+    return layout.message_class(**values)
 
 
 @cache
@@ -68,31 +68,75 @@ def message_layout(type_name: str) -> dict[str, Any]:
     return dict(known[type_name][1])
 
 
-def _default(kind: Any) -> object:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Field:
+    """How a field comes about: from what is given, and when nothing is."""
+
+    convert: Callable[[Any], object]
+    default: Callable[[], object]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """A type's class and its fields: found once, for a frame's results are some fifty messages."""
+
+    message_class: Callable[..., Any]
+    fields: Mapping[str, _Field]
+
+
+@cache
+def _layout(type_name: str) -> _Layout:
+    fields = {
+        name: _Field(_converter(f"{type_name}.{name}", kind), _default(kind))
+        for name, kind in message_layout(type_name).items()
+    }
+    for name, value in _NONZERO_DEFAULTS.get(type_name, {}).items():
+        fields[name] = replace(fields[name], default=partial(_same, value))
+    return _Layout(typestore().types[type_name], fields)
+
+
+def _default(kind: Any) -> Callable[[], object]:
+    """Return what makes a field's default: arrays, lists and messages anew for each message."""
     node, detail = kind
     if node == Nodetype.NAME:
-        return make_message(detail)
+        return partial(make_message, detail)
     if node == Nodetype.BASE:
-        return _SCALAR_DEFAULTS.get(detail[0], 0)
+        return partial(_same, _SCALAR_DEFAULTS.get(detail[0], 0))
     element, length = detail if node == Nodetype.ARRAY else (detail[0], 0)
     dtype = _dtype(element)
-    return np.zeros(length, dtype) if dtype else [_default(element) for _ in range(length)]
+    if dtype:
+        return partial(np.zeros, length, dtype)
+    make = _default(element)
+    return lambda: [make() for _ in range(length)]
 
 
-def _converted(name: str, kind: Any, value: Any) -> object:
+def _converter(name: str, kind: Any) -> Callable[[Any], object]:
+    """Return what makes a field's value of what is given for it."""
     node, detail = kind
     if node not in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        return value
-    element, length = detail
-    dtype = _dtype(element)
-    if not dtype:
-        if node == Nodetype.ARRAY and len(value) != length:
-            raise ShapeError(f"{name}: {len(value)} elements; need {length}")
-        return list(value)
+        return _same
+    length = detail[1] if node == Nodetype.ARRAY else None
+    dtype = _dtype(detail[0])
+    if dtype is None:
+        return partial(_converted_list, name, length)
+    return partial(_converted_array, name, length, dtype)
+
+
+def _same(value: object) -> object:
+    return value
+
+
+def _converted_list(name: str, length: int | None, value: Any) -> list[Any]:
+    if length is not None and len(value) != length:
+        raise ShapeError(f"{name}: {len(value)} elements; need {length}")
+    return list(value)
+
+
+def _converted_array(name: str, length: int | None, dtype: np.dtype[Any], value: Any) -> Image:
     array = np.frombuffer(value, dtype) if isinstance(value, bytes | bytearray | memoryview) else np.asarray(value)
-    if array.ndim != 1 or (node == Nodetype.ARRAY and len(array) != length):
-        raise ShapeError(f"{name}: shape {array.shape}; need ({length if node == Nodetype.ARRAY else 'N'},)")
-    if not np.can_cast(array.dtype, dtype, "same_kind") and array.size:
+    if array.ndim != 1 or (length is not None and len(array) != length):
+        raise ShapeError(f"{name}: shape {array.shape}; need ({'N' if length is None else length},)")
+    if array.dtype != dtype and array.size and not np.can_cast(array.dtype, dtype, "same_kind"):
         raise ShapeError(f"{name}: data type {array.dtype}; need {dtype}")
     return np.ascontiguousarray(array, dtype)
 

@@ -95,7 +95,8 @@ def _row(result: Result, target: TargetResult) -> list[str]:
 
 
 def _texts(values: Floats | None, count: int) -> list[str]:
-    return [""] * count if values is None else [_text(value) for value in values.ravel()]
+    # Python's own floats: numpy's say their type in their repr, and take longer.
+    return [""] * count if values is None else list(map(repr, np.asarray(values, np.float64).ravel().tolist()))
 
 
 def _text(value: Any) -> str:

@@ -60,10 +60,19 @@ def quaternion(R: ArrayLike) -> Floats:
 
     ShapeError as `as_rotation`.
     """
-    q = np.asarray(Rotation.from_matrix(as_rotation(R)).as_quat(), np.float64)
-    leading = q[[3, 0, 1, 2]]
-    sign = leading[np.flatnonzero(leading != 0)[0]]
-    return (q if sign > 0 else -q) + 0.0
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = as_rotation(R).tolist()
+    # A row of 4 q q^T, that of the largest part: no digit is lost (Shepperd 1978). Four numbers are quicker by hand.
+    trace = xx + yy + zz
+    rows = {
+        xx: (1 - trace + 2 * xx, xy + yx, xz + zx, zy - yz),
+        yy: (xy + yx, 1 - trace + 2 * yy, yz + zy, xz - zx),
+        zz: (xz + zx, yz + zy, 1 - trace + 2 * zz, yx - xy),
+        trace: (zy - yz, xz - zx, yx - xy, 1 + trace),
+    }
+    row = rows[max(rows)]
+    length = math.hypot(*row)
+    leading = next(part for part in (row[3], *row) if part)
+    return np.array(row) / math.copysign(length, leading) + 0.0
 
 
 def from_quaternion(q: ArrayLike) -> Matrix3:
