@@ -11,7 +11,8 @@ import numpy as np
 from imgu_ros.errors import EstimationError, ImguError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
-from imgu_ros.perception.develop import Developed, develop
+from imgu_ros.perception.develop import Developed
+from imgu_ros.perception.development import Development, develop_frame
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.posing import posed
 from imgu_ros.perception.preprocessing import preprocessed, with_edges
@@ -54,7 +55,7 @@ class Chain:
         self._tracks = [None] * len(self._targets)
         self._frames_without_search = 0
 
-    def process(self, frame: Frame, with_keypoints: bool = False) -> Result:
+    def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
         """Work on one frame.
 
         A frame that the chain cannot work on is rejected in the result, with the reason; nothing is raised for it.
@@ -63,22 +64,24 @@ class Chain:
         ----------
         frame : what to work on
         with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
+        development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
         """
+        development = development or develop_frame(frame, self._parameters)
         clock = StageClock()
-        start = time.perf_counter_ns()
-        try:
-            return self._worked(frame, with_keypoints, clock, start)
-        except ImguError as error:
-            rejected = tuple(
-                TargetResult(t.name, i, Status.REJECTED, reason=str(error)) for i, t in enumerate(self._targets)
-            )
-            return Result(
-                frame, rejected, reason=str(error), times_ns=clock.times_ns, total_ns=time.perf_counter_ns() - start
-            )
+        clock.times_ns[Stage.DEVELOP] = development.took_ns
+        start = time.perf_counter_ns() - development.took_ns
+        reason = development.reason
+        if development.developed is not None:
+            try:
+                return self._worked(frame, development.developed, with_keypoints, clock, start)
+            except ImguError as error:
+                reason = str(error)
+        rejected = tuple(TargetResult(t.name, i, Status.REJECTED, reason=reason) for i, t in enumerate(self._targets))
+        return Result(frame, rejected, reason=reason, times_ns=clock.times_ns, total_ns=time.perf_counter_ns() - start)
 
-    def _worked(self, frame: Frame, with_keypoints: bool, clock: StageClock, start: int) -> Result:
-        with clock.measures(Stage.DEVELOP):
-            developed = develop(frame.image, self._parameters.raw, self._parameters.demosaic)
+    def _worked(
+        self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
+    ) -> Result:
         # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
         rngs = [
             np.random.default_rng((self._parameters.seed, frame.stamp_ns % 2**64, index))
