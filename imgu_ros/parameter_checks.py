@@ -107,6 +107,10 @@ def _about_targets(parameters: Parameters) -> Iterator[str]:
 def _about_raw(raw: RawParameters) -> Iterator[str]:
     if len(raw.gains) != 3:
         yield f"raw.gains: {len(raw.gains)} values; need 3 (red, green, blue)"
+    if len(raw.grey_weights) != 3:
+        yield f"raw.grey_weights: {len(raw.grey_weights)} values; need 3 (red, green, blue)"
+    elif not any(raw.grey_weights):
+        yield "raw.grey_weights: all 0; need at least one other value"
     if 0 < raw.white_level <= raw.black_level:
         yield f"raw.white_level: {raw.white_level:g}; need more than raw.black_level ({raw.black_level:g})"
     yield _about_bands(raw)

@@ -125,6 +125,13 @@ class RawParameters:
     gains: tuple[float, ...] = parameter(
         (1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", minimum=0.01, maximum=100.0
     )
+    grey_weights: tuple[float, ...] = parameter(
+        (0.299, 0.587, 0.114),
+        "Weights of red, green and blue in the grey picture of colour images and colour targets; their sum does not "
+        "matter.",
+        minimum=0.0,
+        maximum=1e6,
+    )
     bands: tuple[int, ...] = parameter(
         (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=9998
     )
@@ -174,6 +181,9 @@ class PreprocessParameters:
     )
     threshold_value: float = parameter(
         128.0, "Grey value from which on a pixel of a frame is white, for `fixed`.", minimum=0.0, maximum=255.0
+    )
+    threshold_bins: int = parameter(
+        256, "Bins of the histogram between which `otsu` looks for its threshold.", minimum=2, maximum=256
     )
 
 

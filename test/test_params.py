@@ -214,6 +214,8 @@ def test_the_order_of_values_does_not_matter(random):
         ({"targets.images": ["a", "b"], "targets.poses": [0.0] * 7}, "targets.poses"),
         ({"raw.gains": [1.0, 1.0]}, "raw.gains"),
         ({"raw.gains": []}, "raw.gains"),
+        ({"raw.grey_weights": [1.0]}, "raw.grey_weights"),
+        ({"raw.grey_weights": [0.0, 0.0, 0.0]}, "raw.grey_weights"),
         ({"raw.white_level": 100, "raw.black_level": 100}, "raw.white_level"),
         ({"raw.white_level": 100, "raw.black_level": 200}, "raw.white_level"),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,7 @@ from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
+from imgu_ros.vision.processing.points import REC601, grey_from_rgb
 
 _TO_RGB = {
     ColorModel.MONO: cv2.COLOR_GRAY2RGB,
@@ -81,20 +84,20 @@ class Developed:
                 top = float(np.iinfo(pixels.dtype).max)
                 balanced = with_levels(pixels, layout.pattern, black, black + top, self._raw.gains)
                 black, white = 0.0, None if white is None else white - black
-            if self._method is DemosaicMethod.BILINEAR:
+            if self._method is DemosaicMethod.BILINEAR and self._raw.grey_weights == REC601:
                 grey = grey_from_mosaic(balanced, layout.pattern)
             else:
-                grey = cv2.cvtColor(demosaic(balanced, layout.pattern, self._method), cv2.COLOR_RGB2GRAY)
+                grey = grey_of(demosaic(balanced, layout.pattern, self._method), self._raw.grey_weights)
         elif layout.color is ColorModel.BANDS:
             grey = self._grey_from_bands()
             if self._raw.band_mode in (BandMode.PRINCIPAL_COMPONENT, BandMode.SPECTRAL_ANGLE):
                 black, white = 0.0, None  # no raw values: the levels of raw data mean nothing to them
-        elif layout.color is ColorModel.ARGB:
-            grey = cv2.cvtColor(np.ascontiguousarray(pixels[..., 1:]), cv2.COLOR_RGB2GRAY)
         elif layout.color is ColorModel.MONO:
             grey = pixels
-        else:
+        elif layout.color in _TO_GREY and self._raw.grey_weights == REC601:
             grey = cv2.cvtColor(pixels, _TO_GREY[layout.color])
+        else:
+            grey = grey_of(self._rgb(), self._raw.grey_weights)
         return stretched_to_8_bit(grey, black, white)
 
     def _developed_color(self) -> Image:
@@ -107,11 +110,16 @@ class Developed:
             return demosaic(leveled, layout.pattern, self._method)
         if layout.color is ColorModel.BANDS:
             return cv2.cvtColor(self.grey, cv2.COLOR_GRAY2RGB)
-        if layout.color is ColorModel.RGB:
+        return self._rgb()
+
+    def _rgb(self) -> Image:
+        """Return the pixels of a layout that is neither a mosaic nor of bands as RGB."""
+        pixels, color = self._pixels, self._layout.color
+        if color is ColorModel.RGB:
             return pixels
-        if layout.color is ColorModel.ARGB:
+        if color is ColorModel.ARGB:
             return np.ascontiguousarray(pixels[..., 1:])
-        return cv2.cvtColor(pixels, _TO_RGB[layout.color])
+        return cv2.cvtColor(pixels, _TO_RGB[color])
 
     def _grey_from_bands(self) -> Image:
         raw, pixels = self._raw, self._pixels
@@ -152,6 +160,19 @@ def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameter
         not below the white level.
     """
     return Developed(image, raw, DemosaicMethod(demosaicking.method))
+
+
+def grey_of(color: Image, weights: Sequence[float]) -> Image:
+    """Return the weighted mean of red, green and blue: of frames and of targets alike.
+
+    Parameters
+    ----------
+    color : (H, W, 3) RGB, uint8 or uint16
+    weights : of red, green and blue, >= 0, not all 0
+    """
+    if tuple(weights) == REC601:
+        return cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    return grey_from_rgb(color, np.divide(weights, sum(weights)))
 
 
 def _checked_pixels(image: RawImage) -> Image:

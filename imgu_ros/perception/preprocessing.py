@@ -52,7 +52,7 @@ def preprocessed(
         grey = adjust(grey, p.contrast, p.brightness)
     if p.gamma != 1.0:
         grey = gamma_corrected(grey, p.gamma)
-    return _THRESHOLDS[p.threshold](_EQUALISATIONS[p.equalisation](grey), p.threshold_value)
+    return _THRESHOLDS[p.threshold](_EQUALISATIONS[p.equalisation](grey), p)
 
 
 def for_targets(parameters: PreprocessParameters) -> PreprocessParameters:
@@ -92,8 +92,8 @@ _EQUALISATIONS: dict[str, Callable[[Image], Image]] = {
     "global": equalised,
     "clahe": equalised_locally,
 }
-_THRESHOLDS: dict[str, Callable[[Image, float], Image]] = {
+_THRESHOLDS: dict[str, Callable[[Image, PreprocessParameters], Image]] = {
     "none": lambda grey, _: grey,
-    "fixed": thresholded,
-    "otsu": lambda grey, _: thresholded(grey, otsu_threshold(grey)),
+    "fixed": lambda grey, p: thresholded(grey, p.threshold_value),
+    "otsu": lambda grey, p: thresholded(grey, otsu_threshold(grey, p.threshold_bins)),
 }

@@ -58,6 +58,32 @@ def test_16_bit_channel_orders(color, order):
     np.testing.assert_allclose(got.grey, rgb @ LUMA / 65535 * 255, atol=0.52)
 
 
+@pytest.mark.parametrize("color", ORDERED)
+@pytest.mark.parametrize("weights", [(0.0, 0.0, 1.0), (0.0, 3.0, 1.0)])
+def test_grey_weights(color, weights):
+    for rgb, levels in ((random_rgb(), {}), (random_rgb(np.uint16), {"significant_bits": 16})):
+        got = developed(arranged(rgb, color), color, grey_weights=weights, **levels)
+        mean = rgb @ np.array(weights) / sum(weights)
+        np.testing.assert_allclose(got.grey, mean * (255 / np.iinfo(rgb.dtype).max), atol=1.01)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_grey_weights_of_a_mosaic(method):
+    flat = np.broadcast_to(np.array([10, 20, 30], np.uint8), (8, 8, 3))
+    raw = mosaic(np.ascontiguousarray(flat), BayerPattern.GRBG)
+    got = developed(raw, ColorModel.BAYER, BayerPattern.GRBG, method, grey_weights=(1.0, 0.0, 3.0))
+    assert (got.grey == 25).all()
+
+
+def test_grey_weights_of_packed_yuv():
+    # Neutral chroma: all three are the luma, whatever the weights (ITU-R BT.601: 16 ... 235).
+    packed = np.full((4, 6, 2), 128, np.uint8)
+    packed[..., 1] = 100
+    assert (
+        developed(packed, ColorModel.UYVY, grey_weights=(1.0, 0.0, 0.0)).grey == round((100 - 16) * 255 / 219)
+    ).all()
+
+
 @pytest.mark.parametrize(("bits", "white"), [(10, 1023), (12, 4095), (16, 65535)])
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_mono_of_known_depth(bits, white, order):

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.result import Result, Status
-from imgu_ros.perception.targets import Target, TargetImage
+from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
 from imgu_ros.simulate.capture import Capture
-from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, simulate_sequence
+from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.formation.sensor import Sensor
@@ -137,3 +138,17 @@ def test_truth_of_blurred_frames_is_that_of_mid_exposure(
     frames = tuple(islice(simulate_sequence(simulation, target_images[:1]), 4))
     results = results_of(frames, targets, {"raw.significant_bits": 14})
     assert largest_error(frames, results) < limit
+
+
+def test_a_picture_in_one_colour_alone_is_found_by_its_weights() -> None:
+    # Blue and red in balance: everywhere the same grey, to half a level, by the usual weights.
+    texture = default_targets(1, seed=11)[0].pixels.mean(axis=2) - 128
+    balanced = np.stack((128 - texture * (0.114 / 0.299), np.full_like(texture, 128), 128 + texture), axis=2)
+    target = TargetImage("blue", np.clip(np.rint(balanced), 0, 255).astype(np.uint8), 0.5)
+    simulation = replace(SEQUENCE, layout=PixelLayout(ColorModel.RGB))
+    frames = tuple(islice(simulate_sequence(simulation, [target]), 3))
+    blue = {"raw.grey_weights": [0.0, 0.0, 1.0]}
+    targets = prepare_targets([target], parameters_from(blue))
+    assert largest_error(frames, results_of(frames, targets, blue)) < 0.4
+    with pytest.raises(ShapeError, match="texture"):
+        prepare_targets([target], parameters_from({}))

@@ -44,6 +44,9 @@ def test_steps_by_hand_and_in_order() -> None:
     assert after(threshold="fixed", threshold_value=100.0) == [0, 0, 255, 255, 255]
     # Otsu: halfway between 100 and 200 lies the best of the four places
     assert after(threshold="otsu") == [0, 0, 0, 255, 255]
+    # Of four bins only their limits are tried, of which 128 lies in the middle of those that part 100 from 200.
+    assert after(threshold="otsu", threshold_bins=4) == [0, 0, 0, 255, 255]
+    assert after(threshold="otsu", threshold_bins=2, brightness=30.0) == [0, 0, 255, 255, 255]
     assert after(equalisation="global") == [0, 64, 128, 191, 255]
     # The threshold comes last: 10 * 10 reaches it.
     assert after(contrast=10.0, threshold="fixed", threshold_value=100.0) == [0, 255, 255, 255, 255]
@@ -77,6 +80,7 @@ CHANGES: tuple[dict[str, object], ...] = (
     {"preprocess.edges": "strength", "preprocess.derivative": "scharr"},
     {"preprocess.edges": "strength", "preprocess.derivative": "gaussian"},
     {"preprocess.threshold": "otsu"},
+    {"preprocess.threshold": "otsu", "preprocess.threshold_bins": 32},
     {"preprocess.threshold": "fixed", "preprocess.threshold_value": 56.0},
     {"pyramid.kind": "coarse"},
     {"pyramid.kind": "laplacian"},

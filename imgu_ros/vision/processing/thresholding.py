@@ -54,12 +54,14 @@ def thresholded(image: Image, value: float) -> Image:
     return cv2.threshold(image, above, full, cv2.THRESH_BINARY)[1]
 
 
-def otsu_threshold(image: Image) -> float:
+def otsu_threshold(image: Image, bins: int | None = None) -> float:
     """Return the threshold that separates two classes best: it maximises the variance between them.
 
     Parameters
     ----------
     image : (H, W), uint8, uint16 or float32 in [0, 1]
+    bins : of the histogram, 2 to 65536: only limits between them are tried; None: one for each value of an integer,
+        65536 for floats
 
     Returns
     -------
@@ -69,9 +71,9 @@ def otsu_threshold(image: Image) -> float:
     Raises
     ------
     ShapeError
-        If `image` is not such an image.
+        If `image` is not such an image or `bins` lies outside its range.
     DegenerateConfiguration
-        If all pixels have the same value (floats: to 1/65536).
+        If all pixels lie in the same bin.
 
     Notes
     -----
@@ -81,19 +83,24 @@ def otsu_threshold(image: Image) -> float:
     --------
     >>> otsu_threshold(np.array([[10, 12, 12, 200, 202]], np.uint8))
     106.5
+    >>> otsu_threshold(np.array([[10, 12, 12, 200, 202]], np.uint8), bins=4)
+    128.0
     """
     image = as_image(image)
-    bins = _FLOAT_BINS if image.dtype.kind == "f" else int(full_scale(image.dtype)) + 1
+    values = _FLOAT_BINS if image.dtype.kind == "f" else int(full_scale(image.dtype)) + 1
+    bins = values if bins is None else bins
+    if isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 2 <= bins <= _FLOAT_BINS:
+        raise ShapeError(f"bins: {bins!r}; need an integer, 2 to {_FLOAT_BINS}")
     counts = histogram(image, bins).astype(np.float64)
     below = np.cumsum(counts)[:-1]
     above = image.size - below
     moment = np.cumsum(counts * np.arange(bins))
     divided = (below > 0) & (above > 0)
     if not divided.any():
-        raise DegenerateConfiguration("image: all pixels have one value; need two for a threshold between them")
+        raise DegenerateConfiguration("image: all pixels have one value, or lie in one bin; need two")
     first, last = moment[:-1][divided], moment[-1] - moment[:-1][divided]
     below, above = below[divided], above[divided]
     between = below * above * (last / above - first / below) ** 2
     best = np.flatnonzero(divided)[between >= between.max() * (1 - 1e-12)]
     threshold = 1 + float(best.mean())
-    return threshold / bins if image.dtype.kind == "f" else threshold
+    return threshold / bins if image.dtype.kind == "f" else threshold * values / bins

@@ -61,7 +61,7 @@ CALLS: dict[Callable, Callable[[np.random.Generator], dict[str, object]]] = {
     histograms.equalised_locally: lambda rng: {"image": _grey(rng), "clip": 2.0, "tiles": 2},
     equalised_16: lambda rng: {"image": rng.integers(0, 65536, (8, 9)).astype(np.uint16)},
     thresholding.thresholded: lambda rng: {"image": _real(rng), "value": 0.5},
-    thresholding.otsu_threshold: lambda rng: {"image": _grey(rng)},
+    thresholding.otsu_threshold: lambda rng: {"image": _grey(rng), "bins": 100},
     separability.split: lambda rng: {"kernel": rng.normal(size=(3, 5)), "tolerance": 1e-7},
     separability.is_separable: lambda rng: {"kernel": rng.normal(size=(3, 5)), "tolerance": 1e-7},
     separability.as_kernel: lambda rng: {"kernel": rng.normal(size=(3, 5))},

@@ -103,6 +103,29 @@ def test_otsu_lies_in_the_middle_of_an_empty_gap():
         otsu_threshold(np.full((5, 5), 9, np.uint8))
 
 
+@given(st.integers(2, 300), st.integers(0, 2**32))
+def test_otsu_of_few_bins_is_otsu_of_the_binned_picture(bins, seed):
+    rng = np.random.default_rng(seed)
+    image = np.clip(np.r_[rng.normal(60, 15, 60), rng.normal(180, 15, 90)], 0, 255).astype(np.uint8)[None]
+    binned = image.astype(np.int64) * bins // 256
+    classes = thresholded(image, otsu_threshold(image, bins)) > 0
+    levels = np.unique(binned)
+    best = max(between_class_variance(binned, v) for v in range(levels[0] + 1, levels[-1] + 1))
+    # A limit between bins: no bin is divided.
+    assert not set(binned[classes]) & set(binned[~classes])
+    assert between_class_variance(binned, binned[classes].min()) == pytest.approx(best)
+
+
+def test_otsu_bins_by_hand():
+    image = np.array([[10, 12, 12, 200, 202]], np.uint8)
+    # Limits at 64, 128, 192: all three divide the picture alike.
+    assert otsu_threshold(image, 4) == 128
+    assert otsu_threshold(image.astype(np.uint16) * 256, 4) == 128 * 256
+    assert otsu_threshold(image.astype(np.float32) / 256, 4) == 0.5
+    with pytest.raises(DegenerateConfiguration, match="one bin"):
+        otsu_threshold(np.array([[10, 60]], np.uint8), 4)
+
+
 @pytest.mark.parametrize(
     "call",
     [
@@ -114,6 +137,8 @@ def test_otsu_lies_in_the_middle_of_an_empty_gap():
         lambda: equalised_locally(np.zeros((2, 2), np.uint8), clip=0.5),
         lambda: equalised_locally(np.zeros((2, 2), np.uint8), tiles=0),
         lambda: thresholded(np.zeros((2, 2), np.uint8), np.nan),
+        lambda: otsu_threshold(np.zeros((2, 2), np.uint8), 1),
+        lambda: otsu_threshold(np.zeros((2, 2), np.uint8), 2.5),
     ],
 )
 def test_bad_input_is_refused(call):
