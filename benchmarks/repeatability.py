@@ -36,8 +36,8 @@ TOLERANCE_PX = 3.0
 SEQUENCES = ("bark", "iguazu")
 READING = """The first rows are `keypoints.detector` on the chain's fine pyramid, spread over the picture; `pairs` is
 the mean number of keypoints found again. Spreading has its price under noise (`iguazu`): half of the keypoints (of
-`dog` a third) are chosen for their place; OpenCV's are the 1000 strongest, wherever they lie. OpenCV 5.0's MSER drops the
-stable regions (its issue 29652); ours does not.
+`dog` a third) are chosen for their place; OpenCV's are the 1000 strongest, wherever they lie. OpenCV 5.0's MSER drops
+the stable regions (its issue 29652); ours does not.
 Made by `python benchmarks/repeatability.py`."""
 
 
