@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image, Matrix3
+from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 from imgu_ros.vision.formation.optics import disc_kernel
 from imgu_ros.vision.formation.shutter import motion_kernel
@@ -48,6 +48,12 @@ class TargetField:
         self._template_from_field = np.diag([scale[0], scale[1], 1.0])
         # Node k of the target covers the k-th part of its width: centres at halves.
         self._template_from_field[:2, 2] = scale * (0.5 - first) - 0.5
+        # Blobs end before the field does.
+        from_edge = [
+            np.minimum(np.arange(n), np.arange(n)[::-1]) / (_BEYOND * m)
+            for n, m in ((rows, _NODES[1]), (columns, _NODES[0]))
+        ]
+        self._rim = (12 * (np.minimum(from_edge[0][:, None], from_edge[1][None, :]) - 0.4)).astype(np.float32)
         self._inside = (
             slice(round(first[1]), round(first[1]) + _NODES[1]),
             slice(round(first[0]), round(first[0]) + _NODES[0]),
@@ -58,7 +64,8 @@ class TargetField:
         if not 0 < share < 1:
             raise ShapeError(f"share: {share:g}; need more than 0 and less than 1")
         field = math.cos(phase_rad) * self._parts[0] + math.sin(phase_rad) * self._parts[1]
-        return np.asarray(field - np.float32(np.quantile(field[self._inside], 1 - share)), np.float32)
+        field = field - np.float32(np.quantile(field[self._inside], 1 - share))
+        return np.asarray(np.minimum(field, self._rim), np.float32)
 
     def in_image(self, field: Image, H_image_template: Matrix3, size: tuple[int, int]) -> Image:
         """Return a field as the image shows it, (height, width) float32; far below zero where it does not reach."""
@@ -108,7 +115,7 @@ def defocused(light: Image, diameter_px: float) -> Image:
 
 
 def vignetting(size: tuple[int, int], lost: float) -> Image:
-    """Return the share of the light that reaches each pixel, (height, width): 1 in the middle, 1 - `lost` in corners."""
+    """Return the share of the light that each pixel gets, (height, width): 1 in the middle, 1 - `lost` in corners."""
     width, height = size
     x, y = (np.arange(n, dtype=np.float32) - np.float32((n - 1) / 2) for n in (width, height))
     r2 = (x[None, :] ** 2 + y[:, None] ** 2) / np.float32(((width - 1) ** 2 + (height - 1) ** 2) / 4)
@@ -123,8 +130,8 @@ def flicker(height: int, amplitude: float, phase_rad: float, periods: float = 1.
 
 def electrons_for_snr(snr: float, read_noise_e: float) -> float:
     """Return how many electrons have this mean over standard deviation: m / sqrt(m + read^2)."""
-    half: Floats = np.float64(snr**2 / 2)
-    return float(half + math.sqrt(half**2 + (snr * read_noise_e) ** 2))
+    half = snr**2 / 2
+    return half + math.hypot(half, snr * read_noise_e)
 
 
 def as_mosaic(light: Image, pattern: BayerPattern) -> Image:

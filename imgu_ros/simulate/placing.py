@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Placing:
     outside : share of the target's area that lies outside the image
     """
 
-    motion: Motion = Motion()
+    motion: Motion = field(default_factory=Motion)
     tilt_rad: float | None = None
     width_share: float | None = None
     outside: float = 0.0

@@ -7,9 +7,8 @@ seed give the same frames.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -41,7 +40,6 @@ from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, default_c
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import Truth, points_in_image, target_grid
 from imgu_ros.types import Image
-from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -49,6 +47,8 @@ from imgu_ros.vision.formation.sensor import Sensor, expose
 
 TARGET, ALIKE = "poster", "alike"
 WIDTH_M = 0.5
+#: Frames in which a sequence goes once through its motion.
+LAP_FRAMES = 120
 _COPY = "copy"
 _RATE_HZ = 30.0
 _START_NS = 1_700_000_000_000_000_000
@@ -68,7 +68,7 @@ class Trial:
     ----------
     condition : what happens
     width, height : of the frames, px, even
-    frames : how many; a sequence goes once through the whole motion with them
+    frames : how many; a sequence goes through the whole motion in `LAP_FRAMES`, then again
     seed : of pictures, path and noise
     unrelated : single frames, each from anywhere on a path of its own, instead of a sequence
     """
@@ -91,32 +91,28 @@ def known_targets(trial: Trial) -> tuple[TargetImage, ...]:
     return (target,)
 
 
-def trial_frames(trial: Trial, *, workers: int = 1) -> Iterator[SimulatedFrame]:
+def trial_frames(trial: Trial) -> Iterator[SimulatedFrame]:
     """Yield the frames, in order, each with the truths of the known targets in view.
 
     With two copies a frame has two truths of the same name.
+    """
+    for batch in trial_batches(trial, 1, workers=1):
+        yield from batch
+
+
+def trial_batches(trial: Trial, size: int = 24, *, workers: int = 2) -> Iterator[list[SimulatedFrame]]:
+    """Yield the frames as `trial_frames` does, in lists; no frame is made while the caller is busy with a list.
 
     Parameters
     ----------
     trial : which frames
-    workers : threads; more than 1 make frames ahead while the caller is busy, which spoils the timing of its work
+    size : frames in a list; the last may be shorter
+    workers : threads that make a list
     """
     stage = _Stage(trial)
-    if workers <= 1:
-        yield from (stage.frame(index) for index in range(trial.frames))
-        return
     with ThreadPoolExecutor(workers) as pool:
-        pending: deque[Future[SimulatedFrame]] = deque()
-        try:
-            for index in range(trial.frames):
-                pending.append(pool.submit(stage.frame, index))
-                if len(pending) > workers:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            for future in pending:
-                future.cancel()
+        for first in range(0, trial.frames, size):
+            yield list(pool.map(stage.frame, range(first, min(first + size, trial.frames))))
 
 
 class _Stage:
@@ -142,12 +138,10 @@ class _Stage:
         """Make one frame."""
         trial = self._trial
         # Everything that differs from frame to frame is a function of this.
-        seed, progress = (
-            (trial.seed, index / max(trial.frames - 1, 1)) if not trial.unrelated else _anywhere(trial.seed, index)
-        )
+        seed, progress = _anywhere(trial.seed, index) if trial.unrelated else (trial.seed, index / (LAP_FRAMES - 1))
 
         def pose_at(seconds: float) -> RigidTransform:
-            p = progress + seconds * _RATE_HZ / max(trial.frames - 1, 1)
+            p = progress + seconds * _RATE_HZ / (LAP_FRAMES - 1)
             return camera_before_target(p, trial.condition.placing, self._camera, self._scene, seed)
 
         pose = pose_at(0.0)
@@ -164,7 +158,7 @@ class _Stage:
         c, trial = self._trial.condition, self._trial
         if c.readout:
             capture = Capture(row_time_s=c.readout / _RATE_HZ / trial.height)
-            smooth_s = _SMOOTH_PROGRESS * max(trial.frames - 1, 1) / _RATE_HZ
+            smooth_s = _SMOOTH_PROGRESS * (LAP_FRAMES - 1) / _RATE_HZ
             light = self._renderer.mean_radiance(views_of(capture, pose_at, smooth_s, self._camera, self._scene))
         else:
             light = self._renderer.radiance(pose)

@@ -1,0 +1,179 @@
+"""Methods on the same frames, one after the other on each frame, against the truth and the clock."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgu_ros.bench.methods import Answer, Method
+from imgu_ros.errors import ShapeError
+from imgu_ros.perception.targets import TargetImage
+from imgu_ros.simulate.scene import size_of
+from imgu_ros.simulate.sequence import SimulatedFrame
+from imgu_ros.simulate.truth import Truth, corner_error
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.camera.rotation import log_so3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One method, one frame, one target.
+
+    Attributes
+    ----------
+    method, frame, target : whose answer to what; `frame` counts the frames that were shown
+    present : whether the frame shows the target
+    answered : whether the method gave a homography
+    corner_px : error of the corners, infinite beyond the horizon; None without answer or without truth
+    rotation_deg, translation_percent : errors of the pose; the translation's of the true distance
+    nees : squared error of the pose in units of its covariance (6 on average when it is right)
+    status, reason : the method's words
+    """
+
+    method: str
+    frame: int
+    target: str
+    present: bool
+    answered: bool
+    corner_px: float | None = None
+    rotation_deg: float | None = None
+    translation_percent: float | None = None
+    nees: float | None = None
+    status: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timing:
+    """How long one method took for one frame: on the clock, of all cores together, and in each stage, ms."""
+
+    method: str
+    frame: int
+    ms: float
+    cpu_ms: float
+    stages_ms: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """All samples and timings of a run."""
+
+    samples: list[Sample]
+    timings: list[Timing]
+
+
+def measure(
+    methods: Sequence[Method],
+    batches: Iterable[Sequence[SimulatedFrame]],
+    targets: Sequence[TargetImage],
+    every: Mapping[str, int] | None = None,
+) -> Measured:
+    """Show the same frames to every method.
+
+    On each frame the methods take turns, and who begins changes from frame to frame, so that a slower or faster moment
+    of the machine, and what one leaves in the caches, meets them alike. Frames are made before the clock runs.
+
+    Parameters
+    ----------
+    methods : forget all earlier frames first
+    batches : frames in order, in lists that are complete before they are worked on
+    targets : the known ones, as the methods have them
+    every : methods that see every n-th frame only, by name
+
+    Returns
+    -------
+    samples in the order of frames, and timings
+    """
+    for method in methods:
+        method.reset()
+    measured = Measured([], [])
+    sizes = {target.name: size_of(target) for target in targets}
+    index = 0
+    for batch in batches:
+        for simulated in batch:
+            turn = index % len(methods)
+            for method in (*methods[turn:], *methods[:turn]):
+                if every is None or index % every.get(method.name, 1) == 0:
+                    _shown(method, index, simulated, sizes, measured)
+            index += 1
+    return measured
+
+
+def _shown(
+    method: Method,
+    index: int,
+    simulated: SimulatedFrame,
+    sizes: Mapping[str, tuple[int, int]],
+    measured: Measured,
+) -> None:
+    # As timeit does: garbage of one method is not collected in another's time.
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        cpu, start = time.process_time_ns(), time.perf_counter_ns()
+        answered = method.answer(simulated.frame)
+        ns, cpu_ns = time.perf_counter_ns() - start, time.process_time_ns() - cpu
+    finally:
+        if enabled:
+            gc.enable()
+    stages = {stage: t / 1e6 for stage, t in answered.stages_ns.items()}
+    measured.timings.append(Timing(method.name, index, ns / 1e6, cpu_ns / 1e6, stages))
+    for answer in answered.answers:
+        truths = [truth for truth in simulated.truths if truth.target == answer.target]
+        measured.samples.append(_sample(method.name, index, answer, truths, sizes, simulated))
+
+
+def _sample(
+    method: str,
+    index: int,
+    answer: Answer,
+    truths: Sequence[Truth],
+    sizes: Mapping[str, tuple[int, int]],
+    simulated: SimulatedFrame,
+) -> Sample:
+    plain = Sample(
+        method, index, answer.target, bool(truths), answer.H is not None, status=answer.status, reason=answer.reason
+    )
+    if answer.H is None or not truths:
+        return plain
+    camera = simulated.frame.camera
+    # Of several copies of a target each is right: the nearest counts.
+    errors = [_corner_px(answer, truth, sizes[answer.target], simulated, camera) for truth in truths]
+    nearest = int(np.argmin(errors))
+    rotation = translation = nees = None
+    pose, true = answer.pose, truths[nearest].pose
+    if pose is not None and true is not None:
+        delta_r, delta_t = log_so3(true.R @ pose.R.T), true.t - pose.t
+        rotation = float(np.rad2deg(np.linalg.norm(delta_r)))
+        translation = float(100 * np.linalg.norm(delta_t) / np.linalg.norm(true.t))
+        if answer.covariance is not None:
+            delta = np.concatenate((delta_t, delta_r))
+            nees = float(delta @ np.linalg.solve(answer.covariance, delta))
+    return Sample(
+        method,
+        index,
+        answer.target,
+        True,
+        True,
+        errors[nearest],
+        rotation,
+        translation,
+        nees,
+        answer.status,
+        answer.reason,
+    )
+
+
+def _corner_px(
+    answer: Answer, truth: Truth, size: tuple[int, int], simulated: SimulatedFrame, camera: Camera | None
+) -> float:
+    pixels = simulated.frame.image.pixels
+    assert answer.H is not None
+    try:
+        return corner_error(answer.H, truth.H, size, (pixels.shape[1], pixels.shape[0]), camera)
+    except ShapeError:  # an answer that is no number
+        return float("inf")
