@@ -24,6 +24,7 @@ COMMANDS = {
     "node": "imgu_ros.cli.node",
     "match": "imgu_ros.cli.match",
     "demosaic": "imgu_ros.cli.demosaic",
+    "filter": "imgu_ros.cli.filter",
     "calibrate": "imgu_ros.cli.calibrate",
     "params": "imgu_ros.cli.params",
 }

@@ -23,6 +23,10 @@ and thresholds: they change the picture on which keypoints are sought and descri
 are off by default. Alignment (`refinement.*`, `tracking.*`) matches brightness and contrast itself and keeps to the
 picture as it was: its precision lives in grey ramps that thresholds and clamping destroy. Canny's lines are not among
 the edges there: one bit a pixel leaves descriptors too little, and a simulated target is not found by them.
+`raw.grey_weights` are the weights of the colours in the grey picture.
+
+**On files** `imgu filter` does convolution, smoothing, gradients and edges, Canny's too; `imgu match --warp` draws a found
+target straight on.
 
 Sources: notes 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
 """
