@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
+from imgu_ros.vision.keypoints.opencv import positions
 from imgu_ros.vision.keypoints.orientation import centroid_orientation
 from imgu_ros.vision.keypoints.spreading import spread
 
@@ -79,12 +80,12 @@ def detect_fast(image: Image, max_count: int, arc: int = 9, threshold: int = THR
 def _nine(image: Image, threshold: int) -> tuple[Points, Floats]:
     """Return OpenCV's corners and their responses."""
     found = cv2.FastFeatureDetector.create(threshold, True).detect(image, None)
-    return _positions(found), np.fromiter((k.response for k in found), np.float64, len(found))
+    return positions(found), np.fromiter(map(attrgetter("response"), found), np.float64, len(found))
 
 
 def _longer(image: Image, threshold: int, arc: int) -> tuple[Points, Floats]:
     """Return the corners of an arc of 10 to 12 and their responses."""
-    at = _positions(cv2.FastFeatureDetector.create(threshold, False).detect(image, None)).astype(np.intp)
+    at = positions(cv2.FastFeatureDetector.create(threshold, False).detect(image, None)).astype(np.intp)
     values = image.astype(np.int16)
     center = values[at[:, 1], at[:, 0]]
 
@@ -121,8 +122,3 @@ def _least_along(ring: NDArray[np.int16], arc: int) -> NDArray[np.int16]:
         least = np.minimum(least, np.roll(least, -step, axis=0))
         length += step
     return least
-
-
-def _positions(found: Sequence[cv2.KeyPoint]) -> Points:
-    """Return the positions of OpenCV's keypoints, (N, 2)."""
-    return np.array(cv2.KeyPoint.convert(found), np.float64).reshape(-1, 2) if len(found) else np.zeros((0, 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -32,14 +33,22 @@ def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, wi
     """
     if not 0 < sigma_per_size < _LARGEST_PX:
         raise ShapeError(f"sigma_per_size: {sigma_per_size}; need above 0, below {_LARGEST_PX:g}")
-    rows = np.array([(*k.pt, k.size, k.angle, k.response) for k in found], np.float64).reshape(-1, 5)
-    angle = np.radians(rows[:, 3]) if with_angle else np.zeros(len(rows))
-    return Corners(
-        xy=np.ascontiguousarray(rows[:, :2]),
-        scale=rows[:, 2] * sigma_per_size,
-        angle=(angle + math.pi) % (2 * math.pi) - math.pi,
-        response=rows[:, 4].copy(),
+    count = len(found)
+    size, angle, response = (
+        np.fromiter(map(attrgetter(name), found), np.float64, count) for name in ("size", "angle", "response")
     )
+    angle = np.radians(angle) if with_angle else np.zeros(count)
+    return Corners(
+        xy=positions(found),
+        scale=size * sigma_per_size,
+        angle=(angle + math.pi) % (2 * math.pi) - math.pi,
+        response=response,
+    )
+
+
+def positions(found: Sequence[cv2.KeyPoint]) -> Points:
+    """Return the positions of cv2's keypoints `found`, (N, 2) px."""
+    return np.array(cv2.KeyPoint.convert(found), np.float64).reshape(-1, 2) if len(found) else np.zeros((0, 2))
 
 
 def require_describable(corners: Corners) -> None:
@@ -80,8 +89,7 @@ def opencv_keypoints(xy: Points, size: Floats, angle: Floats, response: Floats) 
         raise ShapeError(
             f"xy, size, angle, response: need numbers up to {_LARGEST_NUMBER:g}, which is what OpenCV holds"
         )
-    degrees = np.degrees(angle) % 360
-    return [
-        cv2.KeyPoint(float(x), float(y), float(s), float(a), float(r), 0, index)
-        for index, ((x, y), s, a, r) in enumerate(zip(xy, size, degrees, response, strict=True))
-    ]
+    count = len(xy)
+    # OpenCV's constructor takes 0.3 us of plain numbers, and five times as long of numpy's.
+    columns = (xy[:, 0], xy[:, 1], size, np.degrees(angle) % 360, response)
+    return list(map(cv2.KeyPoint, *(column.tolist() for column in columns), [0] * count, range(count)))

@@ -85,7 +85,8 @@ def build_pyramid(
     kind : coarse (scale 2 from level to level), fine (2^(1/scales_per_octave)) or laplacian (coarse, as bands)
     levels : most levels
     scales_per_octave : levels in an octave; for `fine`
-    max_side_px : halve the image before level 0 until its longer side is no larger; None: level 0 is the image
+    max_side_px : level 0 is the image reduced by the smallest whole number with which its longer side is no larger,
+        by the mean over the area of each of its pixels; None: level 0 is the image
     min_side_px : no level gets a shorter side than this, level 0 excepted
     kernel : Gaussian that smooths before subsampling
 
@@ -100,9 +101,7 @@ def build_pyramid(
     kind, kernel = PyramidKind(kind), GaussianKernel(kernel)
     per_octave = scales_per_octave if kind is PyramidKind.FINE else 1
     full = np.array(image.shape[1::-1], np.float64)
-    base = image
-    while max_side_px is not None and max(base.shape) > max_side_px and min(base.shape) > 1:
-        base = reduced(base, 2.0, kernel)
+    base = image if max_side_px is None else _averaged(image, math.ceil(max(image.shape) / max(max_side_px, 1)))
     pictures = _pictures(base, per_octave, levels, min_side_px, kernel)
     pyramid = Pyramid(tuple(Level(picture, full / np.array(picture.shape[1::-1])) for picture in pictures))
     return band_passed(pyramid) if kind is PyramidKind.LAPLACIAN else pyramid
@@ -207,6 +206,15 @@ def enlarged(image: Image, size: Sequence[int]) -> Image:
     [[0, 25, 75, 100]]
     """
     return resized(image, size, Interpolation.LINEAR)
+
+
+def _averaged(image: Image, factor: int) -> Image:
+    """Return the means over squares of `factor` pixels: less of a low-pass than `reduced`, at a tenth of its cost."""
+    if factor == 1:
+        return image
+    height, width = image.shape
+    size = max(1, round(width / factor - 1e-9)), max(1, round(height / factor - 1e-9))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def _pictures(base: Image, per_octave: int, count: int, min_side_px: int, kernel: GaussianKernel) -> list[Image]:

@@ -16,7 +16,12 @@ from imgu_ros.vision.keypoints.harris import detect_harris, harris_response
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
 from imgu_ros.vision.keypoints.moravec import detect_moravec, moravec_response
 from imgu_ros.vision.keypoints.mser import detect_mser, find_regions
-from imgu_ros.vision.keypoints.opencv import corners_from_opencv, opencv_keypoints, require_describable
+from imgu_ros.vision.keypoints.opencv import (
+    corners_from_opencv,
+    opencv_keypoints,
+    positions,
+    require_describable,
+)
 from imgu_ros.vision.keypoints.orb import detect_orb
 from imgu_ros.vision.keypoints.orientation import centroid_orientation, scaled_orientation
 from imgu_ros.vision.keypoints.peaks import find_peaks
@@ -75,6 +80,7 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
         "angle": rng.uniform(-3, 3, 5),
         "response": rng.random(5),
     },
+    positions: lambda rng: {"found": [cv2.KeyPoint(3.0, 4.0, 7.0)]},
     require_describable: lambda rng: {"corners": five_corners(rng)},
     Corners.chosen: lambda rng: {"self": five_corners(rng), "which": np.array([0, 2])},
     Keypoints.chosen: lambda rng: {"self": five_keypoints(rng), "which": np.array([0, 2])},
