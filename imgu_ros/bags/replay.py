@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain as chained
 from pathlib import Path
 
-from imgu_ros.bags.frame_source import FrameSource, RecordedFrame
-from imgu_ros.bags.output_folder import RESULTS, check_output_folder, prepare_output_folder
-from imgu_ros.bags.reading import Bag, open_bag
+from imgu_ros.bags.background import Background
+from imgu_ros.bags.frame_source import FrameSource
+from imgu_ros.bags.output_folder import check_output_folder, prepare_output_folder
+from imgu_ros.bags.prefetch import Prefetch
+from imgu_ros.bags.read_ahead import ReadFrame, read_ahead, size_of
+from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.reasons import Reasons
-from imgu_ros.bags.results_bag import ResultsBag, checked_record
+from imgu_ros.bags.result_files import ResultFiles, Written
+from imgu_ros.bags.results_bag import checked_record
+from imgu_ros.bags.switching import quick_thread_switches
 from imgu_ros.codec.results import needs_keypoints
 from imgu_ros.errors import BagError, ParameterError
-from imgu_ros.files.frames_csv import FramesWriter
-from imgu_ros.files.pose_files import PoseFiles
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.parameter_values import parameter_values
 from imgu_ros.params import Parameters
@@ -27,7 +30,7 @@ from imgu_ros.perception.result import Result, Status, TargetResult
 from imgu_ros.perception.targets import Target, prepare_targets
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.html import write_report
-from imgu_ros.report.samples import Samples
+from imgu_ros.report.samples import Sample
 from imgu_ros.report.summary import (
     Source,
     Summary,
@@ -40,6 +43,9 @@ from imgu_ros.report.summary import (
 from imgu_ros.report.table import FrameTable, read_frame_table
 from imgu_ros.report.versions import versions
 from imgu_ros.simulate.truth import Truth, read_truth
+
+#: Of pictures that are read and developed and wait for the chain.
+_AHEAD_BYTES = 16_000_000
 
 
 def replay(
@@ -87,14 +93,17 @@ def replay(
         warnings.add(bag.warnings)
         source = FrameSource(bag, parameters)
         warnings.add(bag.warnings, source.warnings)
-        frames = source.frames()
-        first = next(frames, None)
+        with closing(Prefetch(read_ahead(bag, source, parameters), size_of, _AHEAD_BYTES)) as ahead:
+            frames = iter(ahead)
+            first = next(frames, None)
+            if first is None:
+                warnings.add(bag.warnings, source.warnings)
+                raise BagError(f"{source.image_topic.name}: no image in the bag can be read; need at least one")
+            warnings.add(first.warnings)
+            prepare_output_folder(out, overwrite=overwrite, inputs=bags)
+            run = _Run(source.image_topic.count, targets, parameters, out, tuple(record), warnings, on_progress)
+            seen = run.over(chained([first], frames))
         warnings.add(bag.warnings, source.warnings)
-        if first is None:
-            raise BagError(f"{source.image_topic.name}: no image in the bag can be read; need at least one")
-        prepare_output_folder(out, overwrite=overwrite, inputs=bags)
-        run = _Run(bag, source, targets, parameters, out, tuple(record), warnings, on_progress)
-        seen = run.over(chained([first], frames))
     described = Source(
         bags=tuple(str(path) for path in bags),
         truth="" if truth is None else str(truth),
@@ -116,7 +125,7 @@ class _Seen:
     first: Frame | None = None
     seconds: float = 0.0
     reasons: Reasons = field(default_factory=Reasons)
-    samples: Samples = field(default_factory=Samples)
+    samples: tuple[Sample, ...] = ()
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -154,10 +163,12 @@ class _Warnings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
-    """One pass over the frames."""
+    """One pass over the frames.
 
-    bag: Bag
-    source: FrameSource
+    Three threads work at once, each on another frame: one reads and develops, this one runs the chain, one writes.
+    """
+
+    total: int
     targets: tuple[Target, ...]
     parameters: Parameters
     out: Path
@@ -165,34 +176,31 @@ class _Run:
     warnings: _Warnings
     on_progress: Callable[[int, int | None], None]
 
-    def over(self, frames: Iterator[RecordedFrame]) -> _Seen:
+    def over(self, frames: Iterator[ReadFrame]) -> _Seen:
         seen = _Seen()
         names = [target.name for target in self.targets]
-        total = self.source.image_topic.count or None
         worker = Chain(self.parameters, self.targets)
+        with_keypoints = needs_keypoints(self.record)
         start = time.monotonic()
         with ExitStack() as stack:
-            rows = stack.enter_context(FramesWriter(self.out / "frames.csv"))
-            poses = stack.enter_context(PoseFiles(self.out, names))
-            messages = stack.enter_context(ResultsBag(self.out / RESULTS, self.parameters, names, self.record))
-            for recorded in frames:
+            stack.enter_context(quick_thread_switches())
+            files = stack.enter_context(ResultFiles(self.out, self.parameters, names, self.record))
+            behind = stack.enter_context(Background(files.write))
+            for read in frames:
                 result = (
-                    _rejected(recorded, names)
-                    if recorded.reason
-                    else worker.process(recorded.frame, with_keypoints=needs_keypoints(self.record))
+                    _rejected(read, names)
+                    if read.development is None
+                    else worker.process(read.frame, with_keypoints, read.development)
                 )
-                rows.write(result)
-                poses.write(result)
-                messages.write(result, recorded.time_ns)
+                behind.put(Written(result, read.time_ns))
                 self._remember(seen, result)
-                self.on_progress(seen.frames, total)
-                self.warnings.add(self.bag.warnings, self.source.warnings)
-        self.warnings.add(self.bag.warnings, self.source.warnings)
+                self.on_progress(seen.frames, self.total or None)
+                self.warnings.add(read.warnings)
+        seen.samples = files.samples.chosen()
         seen.seconds = time.monotonic() - start
         return seen
 
     def _remember(self, seen: _Seen, result: Result) -> None:
-        seen.samples.offer(seen.frames, result)
         seen.frames += 1
         if result.reason:
             seen.rejected += 1
@@ -208,9 +216,9 @@ class _Run:
                 seen.reasons.add(status.value, target.reason)
 
 
-def _rejected(recorded: RecordedFrame, names: Sequence[str]) -> Result:
-    targets = [TargetResult(name, i, Status.REJECTED, reason=recorded.reason) for i, name in enumerate(names)]
-    return Result(recorded.frame, tuple(targets), reason=recorded.reason)
+def _rejected(read: ReadFrame, names: Sequence[str]) -> Result:
+    targets = [TargetResult(name, i, Status.REJECTED, reason=read.reason) for i, name in enumerate(names)]
+    return Result(read.frame, tuple(targets), reason=read.reason)
 
 
 def _reported(
@@ -232,7 +240,7 @@ def _reported(
         warnings.add([f"{source.truth}: has no stamp and target of this bag (its targets: {names}); no errors known"])
     summary = _summary(table, seen, source, parameters, warnings)
     write_summary(out / "summary.json", summary)
-    write_report(out / "report.html", table, summary, seen.samples.chosen())
+    write_report(out / "report.html", table, summary, seen.samples)
     if seen.rejected == seen.frames:
         raise BagError(f"{source.image_topic}: not one of {seen.frames} frames could be read: {seen.first_reason}")
     return summary

@@ -24,7 +24,7 @@ from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.play_report import PlayReport, Span
-from imgu_ros.ros.prefetch import Prefetch
+from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
 from imgu_ros.ros.stopping import Stopped, StopSignal

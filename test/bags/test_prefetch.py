@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from imgu_ros.ros.prefetch import Prefetch
+from imgu_ros.bags.prefetch import Prefetch
 
 
 def test_items_come_in_order_and_the_memory_is_bounded():
