@@ -59,7 +59,7 @@ class Method(Protocol):
 
 
 class ChainMethod:
-    """This package's chain.
+    """The package's own chain.
 
     Parameters
     ----------

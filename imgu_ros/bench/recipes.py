@@ -141,9 +141,7 @@ def _grey(image: RawImage) -> Image:
 
 def _undistorted(xy: Floats, camera: Camera) -> Floats:
     """Return ideal pixels; as `solvePnP` with D, but for the homography too."""
-    undistort: Any = (
-        cv2.fisheye.undistortPoints if camera.model is DistortionModel.EQUIDISTANT else cv2.undistortPoints
-    )
+    undistort: Any = cv2.fisheye.undistortPoints if camera.model is DistortionModel.EQUIDISTANT else cv2.undistortPoints
     ideal = undistort(xy.reshape(-1, 1, 2), camera.K, camera.distortion, P=camera.K)
     return np.asarray(ideal, np.float64).reshape(-1, 2)
 
@@ -152,4 +150,6 @@ def _pose(metres: Floats, image: Floats, K: Matrix3) -> RigidTransform | None:
     found, rotation, translation = cv2.solvePnP(metres, image, K, None, flags=cv2.SOLVEPNP_IPPE)
     if not found or not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
         return None
-    return RigidTransform(np.asarray(cv2.Rodrigues(rotation)[0], np.float64), np.asarray(translation, np.float64).ravel())
+    return RigidTransform(
+        np.asarray(cv2.Rodrigues(rotation)[0], np.float64), np.asarray(translation, np.float64).ravel()
+    )

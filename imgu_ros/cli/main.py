@@ -25,8 +25,10 @@ COMMANDS = {
     "match": "imgu_ros.cli.match",
     "demosaic": "imgu_ros.cli.demosaic",
     "filter": "imgu_ros.cli.filter",
+    "warp": "imgu_ros.cli.warp",
     "calibrate": "imgu_ros.cli.calibrate",
     "params": "imgu_ros.cli.params",
+    "bench": "imgu_ros.cli.bench",
 }
 
 #: Top-level modules that come with the `ros` extra.

@@ -1,0 +1,137 @@
+"""Figures as tables for people: ours beside the recipes, absolute and as ratios."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from imgu_ros.bench.figures import Figures
+from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING
+from imgu_ros.bench.memory import PeakMemory
+from imgu_ros.bench.suites import ABSENT, SEQUENCE, Growth, Row
+from imgu_ros.simulate.conditions import PLAIN
+
+_NAMES = {TRACKING: "ours, tracking", DETECTION: "ours, detecting", ORB: "ORB recipe", SIFT: "SIFT recipe"}
+_HEAD = (
+    "method", "ms", "p95 ms", "ORB / it", "SIFT / it", "corner p50 px", "p95 px", "found", "<= 1 px", "false",
+    "rotation deg", "position %", "NEES p50",
+)  # fmt: skip
+
+
+def tables(rows: Sequence[Row], markdown: bool = False) -> str:
+    """Return every row in tables, one for each kind of frames, size and condition group.
+
+    Parameters
+    ----------
+    rows : as `run_suite` yields them
+    markdown : pipes instead of aligned columns
+    """
+    parts = []
+    measured = [row for row in rows if isinstance(row, Figures)]
+    for title, group in _groups(measured):
+        parts.append(_titled(title, _table([_HEAD_OF_CONDITIONS, *_lines(group)], markdown), markdown))
+    stages = [row for row in measured if row.condition == PLAIN.name and row.stages_ms]
+    if stages:
+        parts.append(
+            _titled("Time of each stage, ms (median, where it ran)", _table(_stage_lines(stages), markdown), markdown)
+        )
+    peaks = [row for row in rows if isinstance(row, PeakMemory)]
+    if peaks:
+        lines: list[tuple[str, ...]] = [("size", "method", "peak MB", "imports MB")]
+        lines += [(p.size, _NAMES.get(p.method, p.method), f"{p.peak_mb:.0f}", f"{p.imports_mb:.0f}") for p in peaks]
+        parts.append(_titled("Peak memory of a process with one method", _table(lines, markdown), markdown))
+    growths = [row for row in rows if isinstance(row, Growth)]
+    if growths:
+        lines = [("size", "frames", "early MB", "late MB", "growth MB")]
+        lines += [
+            (g.size, str(g.frames), f"{g.early_mb:.1f}", f"{g.late_mb:.1f}", f"{g.late_mb - g.early_mb:+.1f}")
+            for g in growths
+        ]
+        parts.append(_titled("Memory over a long sequence (tracking)", _table(lines, markdown), markdown))
+    return "\n\n".join(parts)
+
+
+_HEAD_OF_CONDITIONS = ("condition", *_HEAD)
+
+
+def _groups(rows: Sequence[Figures]) -> list[tuple[str, list[Figures]]]:
+    """Return the rows of each table, with its title."""
+    groups: dict[tuple[str, str], list[Figures]] = {}
+    for row in rows:
+        groups.setdefault((row.kind, row.size), []).append(row)
+    words = {SEQUENCE: "smooth sequences", ABSENT: "frames without a target"}
+    return [(f"{size}, {words.get(kind, 'single, unrelated frames')}", group) for (kind, size), group in groups.items()]
+
+
+def _lines(group: Sequence[Figures]) -> list[tuple[str, ...]]:
+    lines: list[tuple[str, ...]] = []
+    previous = ""
+    for row in group:
+        beside = {r.method: r for r in group if r.condition == row.condition}
+        lines.append((row.condition if row.condition != previous else "", *_cells(row, beside)))
+        previous = row.condition
+    return lines
+
+
+def _cells(row: Figures, beside: dict[str, Figures]) -> tuple[str, ...]:
+    return (
+        _NAMES.get(row.method, row.method),
+        _number(row.median_ms, 1),
+        _number(row.p95_ms, 1),
+        _quotient(beside.get(ORB), row),
+        _quotient(beside.get(SIFT), row),
+        _number(row.corner_p50_px, 3),
+        _number(row.corner_p95_px, 3),
+        _percent(row.found),
+        _percent(row.fine),
+        str(row.false),
+        _number(row.rotation_p50_deg, 4),
+        _number(row.translation_p50_percent, 4),
+        _number(row.nees_p50, 2),
+    )
+
+
+def _stage_lines(rows: Sequence[Figures]) -> list[tuple[str, ...]]:
+    stages = list(dict.fromkeys(stage for row in rows for stage in row.stages_ms))
+    lines: list[tuple[str, ...]] = [("size", "frames", "method", *stages)]
+    for row in rows:
+        times = (_number(row.stages_ms.get(stage), 2) for stage in stages)
+        lines.append((row.size, row.kind, _NAMES.get(row.method, row.method), *times))
+    return lines
+
+
+def _quotient(recipe: Figures | None, row: Figures) -> str:
+    """Return how many times a recipe's time, and its corner error, are this row's."""
+    if recipe is None or row.method in (ORB, SIFT):
+        return ""
+    time = f"{recipe.median_ms / row.median_ms:.1f}x" if row.median_ms else ""
+    if not recipe.corner_p50_px or not row.corner_p50_px:
+        return time
+    return f"{time} {recipe.corner_p50_px / row.corner_p50_px:.0f}x px"
+
+
+def _table(lines: Sequence[Sequence[str]], markdown: bool) -> str:
+    if markdown:
+        head, *body = (f"| {' | '.join(line)} |" for line in lines)
+        return "\n".join((head, "|" + "---|" * len(lines[0]), *body))
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    text = [2 if i < 2 else 0 for i in range(len(widths))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if left else cell.rjust(w) for cell, w, left in zip(line, widths, text, strict=True)
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _titled(title: str, table: str, markdown: bool) -> str:
+    return f"{title}\n\n{table}" if markdown else f"{title}\n{table}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    if value is None:
+        return "-"
+    return ">1e4" if value > 1e4 else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}%"
