@@ -70,6 +70,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_image_file(arguments.output)
     image = read_image(arguments.input)
+    if arguments.method == "kernel":
+        from imgu_ros.cli.filtering import described_kernel
+
+        print(described_kernel(arguments.kernel))
     write_image(
         arguments.output,
         filtered(image, arguments.method, FilterOptions(**given), parameters.raw.grey_weights),

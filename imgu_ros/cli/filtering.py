@@ -15,6 +15,7 @@ from imgu_ros.vision.processing.convolution import convolve, mean_filtered
 from imgu_ros.vision.processing.derivatives import Derivative, Gradient, gradient
 from imgu_ros.vision.processing.edges import canny, edge_map
 from imgu_ros.vision.processing.points import full_scale
+from imgu_ros.vision.processing.separability import is_separable, split
 from imgu_ros.vision.scale_space.gaussian import smooth
 from imgu_ros.vision.scale_space.laplacian import LaplacianPyramid, laplacian_pyramid, reconstructed
 
@@ -72,6 +73,14 @@ def filtered(image: Image, method: str, options: FilterOptions, grey_weights: Se
     if method in _OF_COLORS:
         return _OF_COLORS[method](image, options)
     return _OF_GREY[method](image, _grey(image, grey_weights), options)
+
+
+def described_kernel(kernel: Sequence[Sequence[float]]) -> str:
+    """Return the kernel's size, and whether a column and a row do the same, as a line for people."""
+    size = f"kernel {len(kernel[0])} x {len(kernel)}"
+    if is_separable(kernel):
+        return f"{size}: separable, a column and a row"
+    return f"{size}: not separable, the sum of {split(kernel).rank} that are"
 
 
 def _kernel(image: Image, o: FilterOptions) -> Image:

@@ -73,6 +73,25 @@ def test_kernels_are_flipped_and_borders_are_as_said(tmp_path: Path, border: str
     assert filtered(tmp_path, row, "kernel", "--kernel", "0 0 1", "--border", border).tolist() == [expected]
 
 
+def test_a_kernel_may_begin_with_a_minus(tmp_path: Path) -> None:
+    row = np.array([[0, 10, 30, 60]], np.uint8)
+    assert filtered(tmp_path, row, "kernel", "--kernel", "-1 0 1").tolist() == [[0, 0, 0, 0]]
+    assert filtered(tmp_path, row[:, ::-1].copy(), "kernel", "--kernel", "-1 0 1").tolist() == [[0, 50, 30, 0]]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "said"),
+    [
+        ("1 2 1; 2 4 2; 1 2 1", "kernel 3 x 3: separable, a column and a row\n"),
+        ("0 -1 0; -1 5 -1; 0 -1 0", "kernel 3 x 3: not separable, the sum of 2 that are\n"),
+        ("1 0 -1", "kernel 3 x 1: separable, a column and a row\n"),
+    ],
+)
+def test_what_is_said_of_a_kernel(tmp_path: Path, kernel: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    filtered(tmp_path, disc(), "kernel", "--kernel", kernel)
+    assert capsys.readouterr().out == said
+
+
 def test_kernels_clamp(tmp_path: Path) -> None:
     sharp = filtered(tmp_path, disc(), "kernel", "--kernel", "0,-1,0; -1,5,-1; 0,-1,0")
     # Beside a straight piece of the outline: 5 * 200 - 3 * 200 - 40, and 5 * 40 - 3 * 40 - 200.
