@@ -69,13 +69,12 @@ class ResultsBag:
                 self._write_target("path", target, path, time_ns)
 
     def _write_target(self, topic: str, target: TargetResult, message: Any | None, time_ns: int) -> None:
-        self._write(f"targets/{target.name}/{topic}", message, time_ns)
-        if target.index == 0:
-            self._write(topic, message, time_ns)
+        unprefixed = (f"/{topic}",) if target.index == 0 else ()
+        self._write(f"targets/{target.name}/{topic}", message, time_ns, *unprefixed)
 
-    def _write(self, topic: str, message: Any | None, time_ns: int) -> None:
+    def _write(self, topic: str, message: Any | None, time_ns: int, *also: str) -> None:
         if message is not None:
-            self._writer.write(f"/{topic}", message, time_ns)
+            self._writer.write(f"/{topic}", message, time_ns, *also)
 
 
 def checked_record(record: Sequence[str]) -> tuple[str, ...]:

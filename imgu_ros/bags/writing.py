@@ -68,7 +68,7 @@ class BagWriter:
                 self._writer.set_compression(_COMPRESSION_MODES[storage], CompressionFormat.ZSTD)
             self._writer.open()
 
-    def write(self, topic: str, message: Any, time_ns: int) -> None:
+    def write(self, topic: str, message: Any, time_ns: int, *also: str) -> None:
         """Append `message` to `topic`.
 
         Parameters
@@ -76,6 +76,7 @@ class BagWriter:
         topic : absolute name, "/camera/image_raw"
         message : made by `make_message`
         time_ns : time of recording, nanoseconds since the epoch, >= 0
+        *also : more topics for the same message
 
         Raises
         ------
@@ -88,15 +89,20 @@ class BagWriter:
         type_name = getattr(message, "__msgtype__", None)
         if type_name is None:
             raise BagError(f"{topic}: {type(message).__name__}; need a message made by make_message")
-        connection = self._connections.get(topic)
-        if connection is not None and connection.msgtype != type_name:
-            raise BagError(f"{topic}: message of type {type_name}; need {connection.msgtype}, as the topic's first")
         with _bag_errors(self.path, topic):
             data = typestore().serialize_cdr(message, type_name)
-            if connection is None:
-                connection = self._writer.add_connection(topic, type_name, typestore=typestore())
-                self._connections[topic] = connection
-            self._writer.write(connection, int(time_ns), data)
+        for name in (topic, *also):
+            with _bag_errors(self.path, name):
+                self._writer.write(self._connection(name, type_name), int(time_ns), data)
+
+    def _connection(self, topic: str, type_name: str) -> Connection:
+        connection = self._connections.get(topic)
+        if connection is None:
+            connection = self._writer.add_connection(topic, type_name, typestore=typestore())
+            self._connections[topic] = connection
+        if connection.msgtype != type_name:
+            raise BagError(f"{topic}: message of type {type_name}; need {connection.msgtype}, as the topic's first")
+        return connection
 
     def close(self) -> None:
         """Complete the bag: index and metadata. Closing twice does nothing."""

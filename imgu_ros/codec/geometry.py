@@ -19,6 +19,7 @@ from imgu_ros.vision.camera.rotation import quaternion
 
 #: Variance that says "unknown" in nav_msgs/Odometry.
 UNKNOWN_VARIANCE = 1e6
+_UNKNOWN_COVARIANCE = np.diag(np.full(6, UNKNOWN_VARIANCE)).reshape(36)
 
 _PATH_PERIOD_NS = 1_000_000_000
 
@@ -49,7 +50,6 @@ def odometry_message(make: MessageFactory, header: Header, target_frame: str, ca
     camera_from_target : is inverted, its covariance with it; the twist is unknown: zero, with variances of 1e6
     """
     zero = _vector(make, np.zeros(3))
-    unknown = UNKNOWN_VARIANCE * np.eye(6)
     return make(
         "nav_msgs/msg/Odometry",
         header=header_message(make, Header(header.stamp_ns, target_frame)),
@@ -58,7 +58,7 @@ def odometry_message(make: MessageFactory, header: Header, target_frame: str, ca
         twist=make(
             "geometry_msgs/msg/TwistWithCovariance",
             twist=make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
-            covariance=unknown.reshape(36),
+            covariance=_UNKNOWN_COVARIANCE.copy(),
         ),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,6 @@ def point_cloud_message(make: MessageFactory, header: Header, table: Table) -> A
     dtype = table.dtype
     if table.ndim != 1 or not dtype.names:
         raise EncodingError(f"table: shape {table.shape}, fields {dtype.names}; need (N,) with named fields")
-    fields = [_field(make, dtype, name) for name in dtype.names]
     # Column by column: numpy may leave whatever was in memory between the columns.
     rows = np.zeros(len(table), dtype)
     for name in dtype.names:
@@ -47,7 +47,7 @@ def point_cloud_message(make: MessageFactory, header: Header, table: Table) -> A
         header=header_message(make, header),
         height=1,
         width=len(table),
-        fields=fields,
+        fields=list(_fields(make, dtype)),
         is_bigendian=sys.byteorder == "big",
         point_step=dtype.itemsize,
         row_step=dtype.itemsize * len(table),
@@ -84,6 +84,12 @@ def decode_point_cloud(message: Any) -> Table:
         raise EncodingError(f"point cloud: {len(data)} bytes; need {needed} for {width} x {height} points")
     table: Table = np.ndarray((height, width), dtype, buffer=data, strides=(row_step, point_step))
     return table.reshape(-1).astype(dtype.newbyteorder("="))
+
+
+@lru_cache(maxsize=64)
+def _fields(make: MessageFactory, dtype: np.dtype[Any]) -> tuple[Any, ...]:
+    """Return the fields' messages, the same ones for all clouds of a layout: nobody changes them."""
+    return tuple(_field(make, dtype, name) for name in dtype.names or ())
 
 
 def _field(make: MessageFactory, dtype: np.dtype[Any], name: str) -> Any:

@@ -94,10 +94,14 @@ def as_rotation(R: ArrayLike, name: str = "R") -> Matrix3:
         If it is not (3, 3), not finite, not orthonormal to 1e-5, or a reflection; it calls R by `name`.
     """
     R = as_matrix(R, (3, 3), name)
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = float(np.abs(R.T @ R - np.eye(3)).max())
-        determinant = float(np.linalg.det(R)) if error <= _ORTHONORMAL else 0.0
-    if not determinant > 0:
+    # R^T R - I and det R by hand: on nine numbers Python is several times quicker than numpy.
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    errors = (
+        a * a + d * d + g * g - 1, b * b + e * e + h * h - 1, c * c + f * f + i * i - 1,
+        a * b + d * e + g * h, a * c + d * f + g * i, b * c + e * f + h * i,
+    )  # fmt: skip
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if not (determinant > 0 and all(-_ORTHONORMAL <= error <= _ORTHONORMAL for error in errors)):
         raise ShapeError(f"{name}: {R.tolist()}; need a rotation (R^T R = I, det R = 1)")
     return R
 
