@@ -14,6 +14,7 @@ from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.develop import Developed
 from imgu_ros.perception.development import Development, develop_frame
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import posed
 from imgu_ros.perception.preprocessing import preprocessed, with_edges
 from imgu_ros.perception.refinement import Alignment
@@ -82,21 +83,19 @@ class Chain:
     def _worked(
         self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
     ) -> Result:
-        # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
-        rngs = [
-            np.random.default_rng((self._parameters.seed, frame.stamp_ns % 2**64, index))
-            for index in range(len(self._targets))
-        ]
+        pictures = Pictures(developed.grey)
         results: list[TargetResult | None] = [
-            self._followed(index, frame, developed, rngs[index], clock) for index in range(len(self._targets))
+            self._followed(index, frame, pictures, clock) for index in range(len(self._targets))
         ]
         missing = [index for index, result in enumerate(results) if result is None]
         due = self._search_is_due(missing)
         features = self._features(developed, clock) if due or with_keypoints else None
         if features is not None and due:
-            searched = Searched(frame, developed.grey, features.described)
+            searched = Searched(frame, pictures, features.described)
             for index in missing:
-                results[index] = search(self._targets[index], index, searched, self._parameters, rngs[index], clock)
+                # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
+                rng = np.random.default_rng((self._parameters.seed, frame.stamp_ns % 2**64, index))
+                results[index] = search(self._targets[index], index, searched, self._parameters, rng, clock)
         targets = tuple(
             result or TargetResult(target.name, index, Status.LOST, reason="not looked for in this frame")
             for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
@@ -114,16 +113,14 @@ class Chain:
             total_ns=time.perf_counter_ns() - start,
         )
 
-    def _followed(
-        self, index: int, frame: Frame, developed: Developed, rng: np.random.Generator, clock: StageClock
-    ) -> TargetResult | None:
+    def _followed(self, index: int, frame: Frame, pictures: Pictures, clock: StageClock) -> TargetResult | None:
         """Return the target where its track leads; None when there is no track or it does not hold."""
         track, target, p = self._tracks[index], self._targets[index], self._parameters
         if track is None:
             return None
         try:
             with clock.measures(Stage.REFINE):
-                alignment = follow(target, track, developed.grey, frame.stamp_ns, frame.camera, p, rng)
+                alignment = follow(target, track, pictures, frame.stamp_ns, frame.camera, p)
         except EstimationError:
             return None
         found = TargetResult(target.name, index, Status.TRACKED, matches=_as_matches(alignment))
@@ -165,7 +162,8 @@ class Chain:
             elif track is None or result.status is Status.DETECTED:
                 self._tracks[result.index] = Track(Sighting(result.homography.H, frame.stamp_ns))
             else:
-                self._tracks[result.index] = track.continued(result.homography.H, frame.stamp_ns)
+                target = self._targets[result.index]
+                self._tracks[result.index] = track.continued(target, result.homography.H, frame.stamp_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

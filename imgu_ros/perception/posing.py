@@ -11,9 +11,11 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.result import PoseStatus, TargetResult
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Floats, Points
+from imgu_ros.types import Points
+from imgu_ros.vision.camera.homography_pose import poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
+from imgu_ros.vision.projective.condensed import CondensedHomography
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.transform import faces_camera, transform
 
@@ -29,13 +31,13 @@ class Located:
     ----------
     template_xy, image_xy : (N, 2) correspondences without outliers, template px and raw px
     homography : H_image_template in ideal px
-    correlation : (N, N) of the errors in image_xy; None: independent
+    condensed : all that the correspondences tell; None: not condensed
     """
 
     template_xy: Points
     image_xy: Points
     homography: HomographyEstimate
-    correlation: Floats | None = None
+    condensed: CondensedHomography | None = None
 
 
 def bending(camera: Camera | None) -> Camera | None:
@@ -61,9 +63,10 @@ def posed(
     if target.width_m == 0:
         return replace(found, pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
     try:
-        poses = planar_poses(
-            target.to_metres(located.template_xy), located.image_xy, camera, correlation=located.correlation
-        )
+        if located.condensed is not None:
+            poses = poses_of_homography(located.condensed, camera.K, target.metres_from_template)
+        else:
+            poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
     except EstimationError as error:
         return replace(found, reason=str(error))
     ambiguous = poses.ambiguity > parameters.pose.ambiguity_ratio

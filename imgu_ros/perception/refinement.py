@@ -1,4 +1,4 @@
-"""Refinement: the target, drawn as the estimate says, is aligned with the full-resolution frame patch by patch."""
+"""Refinement: a target's patches are aligned with the frame, from coarse to full resolution."""
 
 from __future__ import annotations
 
@@ -7,101 +7,141 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.errors import NoConsensus
+from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.params import RefinementParameters
-from imgu_ros.perception.following import Followed, follow_by_patches, follow_in_view
+from imgu_ros.perception.following import Effort, Followed, follow_patches
+from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Floats, Image, Matrix3, Points
+from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.estimation.covariance import window_correlation
-from imgu_ros.vision.estimation.ransac import ransac
-from imgu_ros.vision.projective.estimate import fit_homography
+from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate
-from imgu_ros.vision.projective.minimal import HomographyModel
-from imgu_ros.vision.projective.refine import HomographyError
-from imgu_ros.vision.projective.trimming import trimmed_homography
 
-#: Image pyramid levels that bridge the error of a detection.
-DETECTION_LEVELS = 2
-_CONSENSUS_PX = 1.5
-#: Of the points sought, the share that must agree after the first alignment.
-_MIN_SHARE = 0.3
+#: Patches bridge errors of about so many pixels of the picture that they are sought in.
+_REACH_PX = 3.0
+#: The target's side in the coarsest picture.
+_COARSEST_SIDE_PX = 60
+#: Halvings from one picture to the next.
+_STRIDE = 2
+#: A picture halved more often is good for a start, not for a result.
+_COARSEST_RESULT = 2
+_COARSE_PATCHES = 80
+_COARSE_STEPS = 8
+_COARSE_ENOUGH_PX = 0.2
+_FINE_STEPS = 4
+_FINE_ENOUGH_PX = 0.15
+#: Distance, in robust standard deviations, beyond which a patch is not even tried in the final fit.
+_CONSENSUS_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Points of a target found in a frame by alignment.
+    """Patches of a target found in a frame by alignment.
 
     Attributes
     ----------
     template_xy : (N, 2) template px
     image_xy : (N, 2) raw px
-    homography : H_image_template in ideal px, of these points; every one is an inlier
-    correlation : (N, N) of the errors in image_xy: patches that share pixels share their errors
+    condensed : what they tell; every one is an inlier
     sought : patches that were looked for
+    halvings : of the finest picture in which they were found; 0: full resolution
     """
 
     template_xy: Points
     image_xy: Points
-    homography: HomographyEstimate
-    correlation: Floats
+    condensed: CondensedHomography
     sought: int
+    halvings: int
+
+    @property
+    def homography(self) -> HomographyEstimate:
+        """H_image_template in ideal px."""
+        return self.condensed.estimate
 
 
 def refine_by_alignment(
-    grey: Image,
+    pictures: Pictures,
     target: Target,
     H: Matrix3,
     camera: Camera | None,
     parameters: RefinementParameters,
     min_points: int,
-    rng: np.random.Generator,
-    first_levels: int = DETECTION_LEVELS,
+    reach_px: float,
 ) -> Alignment:
-    """Align a target with a frame, starting from a homography that is right to a few pixels.
+    """Align a target with a frame, starting from a homography that is nearly right.
+
+    Where full resolution shows no patches (blur), the result is that of a reduced picture.
 
     Parameters
     ----------
-    grey : (H, W) uint8, the frame at full resolution
+    pictures : the frame's
     target : the target
     H : H_image_template in ideal px (raw px without a distorted camera)
     camera : intrinsics when the lens distorts; else None
     parameters : number and size of the patches
     min_points : fewest patches that must agree
-    rng : source of the draws of the robust fit
-    first_levels : image pyramid levels of the first alignment, 0 to 4; each doubles the error that it bridges
+    reach_px : how wrong H may be, raw px
 
     Raises
     ------
     NoConsensus, TooFewPoints, DegenerateConfiguration
         If the patches do not agree on a homography.
     """
-    window_px = parameters.window_px
-    # The first alignment only has to bring the second one near: it looks at a reduced picture.
-    coarse = follow_in_view(grey, target, H, camera, window_px, min_points, first_levels)
-    if len(coarse.template_xy) < min_points:
-        raise NoConsensus(f"patches: {len(coarse.template_xy)} followed; need {min_points}")
-    model = HomographyModel(coarse.template_xy, coarse.ideal_xy)
-    consensus = ransac(
-        model,
-        _CONSENSUS_PX,
-        rng,
-        confidence=0.999,
-        max_iterations=256,
-        min_inliers=max(min_points, math.ceil(_MIN_SHARE * coarse.sought)),
-        unit=" px",
+    found: Followed | None = None
+    failure: EstimationError | None = None
+    at = 0
+    for halvings in _ladder(_first_halvings(pictures, target, H, reach_px)):
+        try:
+            found = follow_patches(pictures, halvings, target, H, camera, _effort(parameters, min_points, halvings))
+            H, at = found.H, halvings
+        except EstimationError as error:
+            failure = error
+            # What a reduced picture showed stands; where it showed nothing, a finer one may.
+            if found is not None:
+                break
+    if found is None or (at > _COARSEST_RESULT and failure is not None):
+        raise failure or NoConsensus("patches: not found")
+    return _fitted(found, at, camera, min_points)
+
+
+def _effort(parameters: RefinementParameters, min_points: int, halvings: int) -> Effort:
+    if halvings == 0:
+        return Effort(parameters.window_px, parameters.max_points, min_points, _FINE_STEPS, _FINE_ENOUGH_PX)
+    most = min(_COARSE_PATCHES, parameters.max_points)
+    return Effort(parameters.window_px, most, min_points, _COARSE_STEPS, _COARSE_ENOUGH_PX)
+
+
+def _ladder(first: int) -> list[int]:
+    """Return the halvings of one picture after the other, down to full resolution."""
+    return [*range(first, 0, -_STRIDE), 0]
+
+
+def _first_halvings(pictures: Pictures, target: Target, H: Matrix3, reach_px: float) -> int:
+    """Return how often to halve the frame so that patches bridge `reach_px`, and the target is not too small."""
+    at = target.outline_template @ H[:, :2].T + H[:, 2]
+    height, width = pictures.shape
+    if at[:, 2].min() > 0:
+        outline = np.clip(at[:, :2] / at[:, 2:], 0, (width, height))
+        extent = np.ptp(outline, axis=0)
+    else:
+        extent = np.array((width, height))
+    side = math.sqrt(float(extent[0] * extent[1]))
+    wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
+    possible = math.floor(math.log2(max(side / _COARSEST_SIDE_PX, 1.0)))
+    return min(wanted, possible, pictures.most_halvings)
+
+
+def _fitted(found: Followed, halvings: int, camera: Camera | None, min_points: int) -> Alignment:
+    """Fit by least squares in raw px, leaving out what is improbably far off."""
+    metric = None
+    raw_xy = found.ideal_xy
+    if camera is not None:
+        raw_xy, metric = camera.raw_pixels_with_jacobian(found.ideal_xy)
+    threshold = max(_CONSENSUS_SIGMAS * found.sigma_px, 0.1)
+    condensed = condensed_homography(
+        found.template_xy, found.ideal_xy, found.H, threshold, max(min_points, 5), found.correlation, metric
     )
-    H = model.denormalised(consensus.hypothesis)
-    # Drawn once more where it truly is, no patch is turned or stretched against the frame any longer.
-    fine = follow_by_patches(grey, target, H, camera, window_px, parameters.max_points, min_points)
-    return _fitted(fine, H, min_points, window_px)
-
-
-def _fitted(followed: Followed, H: Matrix3, min_points: int, window_px: int) -> Alignment:
-    """Fit by least squares, leaving out what is improbably far off at the fit's own robust scale."""
-    trimmed = trimmed_homography(followed.template_xy, followed.ideal_xy, H, _CONSENSUS_PX, min_points)
-    kept = trimmed.inliers
-    template_xy, image_xy, ideal = followed.template_xy[kept], followed.image_xy[kept], followed.ideal_xy[kept]
-    correlation = window_correlation(image_xy, window_px)
-    fit = fit_homography(template_xy, ideal, error=HomographyError.TRANSFER, start=trimmed.H, correlation=correlation)
-    return Alignment(template_xy, image_xy, fit, correlation, followed.sought)
+    kept = condensed.estimate.inliers
+    if np.count_nonzero(kept) < min_points:
+        raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
+    return Alignment(found.template_xy[kept], raw_xy[kept], condensed, found.sought, halvings)

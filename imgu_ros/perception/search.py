@@ -11,16 +11,20 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.guiding import Guided, guided
+from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, bending, posed, require_plausible
 from imgu_ros.perception.refinement import refine_by_alignment
 from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Image, Mask
+from imgu_ros.types import Mask
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.nearest import match_to_gallery
 from imgu_ros.vision.projective.estimate import estimate_homography
+
+#: How wrong, raw px, a homography of keypoints may be.
+_DETECTION_REACH_PX = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,12 +34,12 @@ class Searched:
     Attributes
     ----------
     frame : as it came
-    grey : (H, W) uint8
+    pictures : the grey one, at every resolution
     described : the frame's keypoints and descriptors
     """
 
     frame: Frame
-    grey: Image
+    pictures: Pictures
     described: Descriptions
 
 
@@ -65,7 +69,7 @@ def search(
         return replace(missing, reason=str(error))
     if parameters.refinement.enabled:
         with clock.measures(Stage.REFINE):
-            located = _aligned(target, searched, located, lens, parameters, rng)
+            located = _aligned(target, searched, located, lens, parameters)
     found = replace(missing, status=Status.DETECTED, matches=matches)
     with clock.measures(Stage.POSE):
         return posed(found, target, located, searched.frame.camera, parameters)
@@ -121,20 +125,19 @@ def _aligned(
     located: Located,
     lens: Camera | None,
     parameters: Parameters,
-    rng: np.random.Generator,
 ) -> Located:
     """Return the refined location, or the given one when the patches do not agree (blur, little texture)."""
     try:
         aligned = refine_by_alignment(
-            searched.grey,
+            searched.pictures,
             target,
             located.homography.H,
             lens,
             parameters.refinement,
             parameters.homography.min_inliers,
-            rng,
+            _DETECTION_REACH_PX,
         )
         require_plausible(target, aligned.homography)
     except EstimationError:
         return located
-    return Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.correlation)
+    return Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed)

@@ -11,19 +11,13 @@ import numpy as np
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.parameter_checks import why_not
 from imgu_ros.params import Parameters
-from imgu_ros.perception.preprocessing import for_targets, preprocessed, with_edges
-from imgu_ros.types import Image, Points
-from imgu_ros.vision.descriptors.describe import Descriptions, describe
-from imgu_ros.vision.keypoints.detect import detect
+from imgu_ros.perception.develop import grey_of
+from imgu_ros.perception.target_features import TargetFeatures, ThoroughFeatures, target_features
+from imgu_ros.types import Image, Matrix3, Points
 from imgu_ros.vision.keypoints.spreading import spread
-from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
-from imgu_ros.vision.matching.metrics import metric_for
-from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, band_passed, build_pyramid
+from imgu_ros.vision.matching.alignment import PatchBank
+from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
 
-#: A target may fill this many times the frame's longer side.
-_LARGEST_VIEW = 2
-#: Keypoints of a target for each of the frame's: it is described at every scale.
-_RICHNESS = 3
 _CORNER_QUALITY = 0.005
 _CORNER_DISTANCE_PX = 6
 _FIRST_SPREAD = 40
@@ -45,7 +39,6 @@ class TargetImage:
     width_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class AlignmentLevel:
     """A target at one scale, for alignment by patches.
 
@@ -55,8 +48,16 @@ class AlignmentLevel:
     corners : (N, 2) px of the full-resolution target, the points worth following, best spread first
     """
 
-    level: Level
-    corners: Points
+    def __init__(self, level: Level, corners: Points) -> None:
+        self.level = level
+        self.corners = corners
+        self._patches: dict[int, PatchBank] = {}
+
+    def patches(self, window_px: int) -> PatchBank:
+        """Return the patches about the corners, in the level's px; of a known target few octaves are ever seen."""
+        if window_px not in self._patches:
+            self._patches[window_px] = PatchBank(self.level.image, self.level.from_full(self.corners), window_px)
+        return self._patches[window_px]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,16 +68,16 @@ class Target:
     ----------
     name, width_m : as in `TargetImage`
     grey : (H, W) uint8
-    described : keypoints and descriptors at every scale
-    gallery : the descriptors, for a frame's to be matched to
+    features : keypoints and descriptors at every scale
+    thorough : those for a thorough search
     alignment : octaves from fine to coarse
     """
 
     name: str
     width_m: float
     grey: Image
-    described: Descriptions
-    gallery: Gallery
+    features: TargetFeatures
+    thorough: ThoroughFeatures
     alignment: tuple[AlignmentLevel, ...]
 
     @property
@@ -92,11 +93,17 @@ class Target:
             [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]], np.float64
         )
 
-    def to_metres(self, template_xy: Points) -> Points:
-        """Map template px (N, 2) to the target's plane, metres, origin at the centre, y up."""
+    @property
+    def metres_from_template(self) -> Matrix3:
+        """Template px to the target's plane, metres, origin at the centre, y up: (3, 3) affine."""
         width, height = self.size
         scale = self.width_m / width
-        return (template_xy - ((width - 1) / 2, (height - 1) / 2)) * (scale, -scale)
+        return np.array([[scale, 0, -scale * (width - 1) / 2], [0, -scale, scale * (height - 1) / 2], [0, 0, 1]])
+
+    def to_metres(self, template_xy: Points) -> Points:
+        """Map template px (N, 2) to the target's plane, metres, origin at the centre, y up."""
+        M = self.metres_from_template
+        return template_xy @ M[:2, :2].T + M[:2, 2]
 
 
 def prepare_targets(images: Sequence[TargetImage], parameters: Parameters) -> tuple[Target, ...]:
@@ -119,27 +126,13 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     pixels = image.pixels
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ShapeError(f"target {image.name}: shape {pixels.shape} {pixels.dtype}; need (H, W) or (H, W, 3) uint8")
-    metric = metric_for(parameters.descriptor.kind, parameters.matching.metric)
-    grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    pyramid = build_pyramid(
-        preprocessed(grey, for_targets(parameters.preprocess), parameters.pyramid.kernel),
-        PyramidKind.FINE,
-        levels=32,
-        scales_per_octave=parameters.pyramid.scales_per_octave,
-        max_side_px=_LARGEST_VIEW * parameters.pyramid.max_side_px,
-        min_side_px=48,
-        kernel=parameters.pyramid.kernel,
-    )
-    if parameters.pyramid.kind == PyramidKind.LAPLACIAN:
-        pyramid = band_passed(pyramid)
-    pyramid = with_edges(pyramid, parameters.preprocess)
-    p = parameters.keypoints
-    keypoints = detect(pyramid, p.detector, _RICHNESS * p.max_count, even_scales=True, fast_arc=p.fast_arc)
-    described = describe(pyramid, keypoints, parameters.descriptor.kind)
-    if len(described.keypoints) < parameters.homography.min_inliers:
+    grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else grey_of(pixels, parameters.raw.grey_weights)
+    features = target_features(grey, parameters)
+    count = len(features.described.keypoints)
+    if count < parameters.homography.min_inliers:
         raise ShapeError(
-            f"target {image.name}: {len(described.keypoints)} keypoints; need at least "
-            f"{parameters.homography.min_inliers}: a picture with texture, and not too small"
+            f"target {image.name}: {count} keypoints; need at least {parameters.homography.min_inliers}: a picture "
+            "with texture, and not too small"
         )
     octaves = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=parameters.pyramid.kernel)
     count = parameters.refinement.max_points
@@ -147,8 +140,8 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         image.name,
         image.width_m,
         grey,
-        described,
-        prepare_gallery(described.descriptors, metric, described.keypoints.xy),
+        features,
+        ThoroughFeatures(grey, parameters),
         tuple(_alignment(level, count) for level in octaves.levels),
     )
 

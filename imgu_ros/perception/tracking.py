@@ -8,20 +8,26 @@ import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.params import Parameters
+from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, bending, require_plausible
 from imgu_ros.perception.refinement import Alignment, refine_by_alignment
+from imgu_ros.perception.shift_search import shifted_homography
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Image, Matrix3
+from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.projective.transform import faces_camera, normalised_homography
+from imgu_ros.vision.projective.transform import faces_camera, normalised_homography, transform
 
-#: Image pyramid levels that bridge the error of a prediction.
-_PREDICTION_LEVELS = 3
 #: Of the patches sought, the share that must agree for a track to hold.
-_HELD_SHARE = 0.4
+_HELD_SHARE = 0.25
 _HELD_RMS_PX = 1.0
 #: Between these quotients of two intervals the motion goes on as it was; else the target is looked for where it was.
 _STEADY = (0.5, 2.0)
+#: A prediction may be wrong by this many times as much as the one before it was, and by this much at least, raw px.
+_SURPRISE = 1.5
+_LEAST_REACH_PX = 2.0
+#: What is to be aligned when no motion is known, raw px, and the longest shift before it, a share of the frame's width.
+_UNKNOWN_REACH_PX = 24.0
+_LONGEST_SHIFT = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,14 +40,25 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """The last sighting of a target, and the one before it in the frame before, if there was one."""
+    """The last sighting of a target, the one in the frame before if there was one, and how wrong the prediction was.
+
+    Attributes
+    ----------
+    last, before : sightings
+    surprise_px : largest distance of the outline's corners from where the motion led; None: no motion was known
+    """
 
     last: Sighting
     before: Sighting | None = None
+    surprise_px: float | None = None
 
-    def continued(self, H: Matrix3, stamp_ns: int) -> Track:
+    def continued(self, target: Target, H: Matrix3, stamp_ns: int) -> Track:
         """Return the track with one more sighting."""
-        return Track(Sighting(H, stamp_ns), self.last)
+        if self.before is None:
+            return Track(Sighting(H, stamp_ns), self.last)
+        predicted = transform(self.predicted(target, stamp_ns), target.outline_template)
+        away = np.hypot(*(transform(H, target.outline_template) - predicted).T)
+        return Track(Sighting(H, stamp_ns), self.last, float(away.max()))
 
     def predicted(self, target: Target, stamp_ns: int) -> Matrix3:
         """Return where the target is expected: moved on by the last motion of the image, H1 H0^-1 H1."""
@@ -51,73 +68,85 @@ class Track:
         quotient = (stamp_ns - last.stamp_ns) / (last.stamp_ns - before.stamp_ns)
         if not _STEADY[0] <= quotient <= _STEADY[1]:
             return last.H
-        moved = normalised_homography(last.H @ np.linalg.solve(before.H, last.H))
+        try:
+            moved = normalised_homography(last.H @ np.linalg.solve(before.H, last.H))
+        except (DegenerateConfiguration, np.linalg.LinAlgError):
+            return last.H
         return moved if faces_camera(moved, target.outline_template) else last.H
 
 
 def follow(
-    target: Target,
-    track: Track,
-    grey: Image,
-    stamp_ns: int,
-    camera: Camera | None,
-    parameters: Parameters,
-    rng: np.random.Generator,
+    target: Target, track: Track, pictures: Pictures, stamp_ns: int, camera: Camera | None, parameters: Parameters
 ) -> Alignment:
     """Find a target where its track leads.
 
     Parameters
     ----------
     target, track : what is followed, and from where
-    grey : (H, W) uint8, the frame
+    pictures : the frame's
     stamp_ns : the frame's
     camera : intrinsics, or None
     parameters : all parameters
-    rng : source of the draws of the robust fit
 
     Raises
     ------
     EstimationError
         If the track does not hold.
     """
-    alignment: Alignment | None = None
     reason = "track: lost"
-    for H in _starts(track, target, stamp_ns):
+    lens = bending(camera)
+    for start in _starts(track, target, stamp_ns, pictures.shape[1]):
         try:
+            H = shifted_homography(pictures, target, start.H, lens, start.shift_px) if start.shift_px else start.H
             alignment = refine_by_alignment(
-                grey,
+                pictures,
                 target,
                 H,
-                bending(camera),
+                lens,
                 parameters.refinement,
                 parameters.homography.min_inliers,
-                rng,
-                _PREDICTION_LEVELS,
+                start.reach_px,
             )
-            break
+            _require_held(alignment)
+            require_plausible(target, alignment.homography)
         except EstimationError as error:
             reason = str(error)
-    if alignment is None:
-        raise NoConsensus(reason)
-    held = len(alignment.template_xy)
-    if held < _HELD_SHARE * alignment.sought or alignment.homography.rms_px > _HELD_RMS_PX:
-        raise NoConsensus(
-            f"track: {held} of {alignment.sought} patches agree, rms {alignment.homography.rms_px:.2f} px; "
-            f"need {_HELD_SHARE:.0%} and {_HELD_RMS_PX:g} px"
-        )
-    require_plausible(target, alignment.homography)
-    return alignment
+        else:
+            return alignment
+    raise NoConsensus(reason)
 
 
 def located(alignment: Alignment) -> Located:
     """Return the place that an alignment tells."""
-    return Located(alignment.template_xy, alignment.image_xy, alignment.homography, alignment.correlation)
+    return Located(alignment.template_xy, alignment.image_xy, alignment.homography, alignment.condensed)
 
 
-def _starts(track: Track, target: Target, stamp_ns: int) -> tuple[Matrix3, ...]:
-    """Return where to look: where the motion leads, then where the target was last."""
-    try:
-        predicted = track.predicted(target, stamp_ns)
-    except (DegenerateConfiguration, np.linalg.LinAlgError):
-        return (track.last.H,)
-    return (predicted,) if predicted is track.last.H else (predicted, track.last.H)
+def _require_held(alignment: Alignment) -> None:
+    held, rms_px = len(alignment.template_xy), alignment.homography.rms_px / 2**alignment.halvings
+    if held < _HELD_SHARE * alignment.sought or rms_px > _HELD_RMS_PX:
+        raise NoConsensus(
+            f"track: {held} of {alignment.sought} patches agree, rms {rms_px:.2f} px; "
+            f"need {_HELD_SHARE:.0%} and {_HELD_RMS_PX:g} px"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """Where to look: from H, by alignment that bridges `reach_px`, after any shift up to `shift_px`; raw px."""
+
+    H: Matrix3
+    reach_px: float
+    shift_px: float = 0.0
+
+
+def _starts(track: Track, target: Target, stamp_ns: int, width: int) -> list[_Start]:
+    """Return where to look: near where the motion leads, then farther around, then where the target was last."""
+    predicted = track.predicted(target, stamp_ns)
+    shift = max(_LONGEST_SHIFT * width, _UNKNOWN_REACH_PX)
+    reach = _UNKNOWN_REACH_PX
+    if track.surprise_px is not None:
+        reach = min(max(_SURPRISE * track.surprise_px, _LEAST_REACH_PX), reach)
+    starts = [_Start(predicted, reach), _Start(predicted, _UNKNOWN_REACH_PX, shift)]
+    if predicted is not track.last.H:
+        starts.append(_Start(track.last.H, _UNKNOWN_REACH_PX, shift))
+    return starts

@@ -101,7 +101,7 @@ def planar_poses(
             "pixels: no pose in front of the camera explains them; need a plane seen from its front"
         )
     refined.sort(key=lambda pose: pose.rms_px)
-    if len(refined) > 1 and _same(refined[0], refined[1]):
+    if len(refined) > 1 and same_pose(refined[0], refined[1]):
         refined = refined[:1]
     second_px = refined[1].rms_px if len(refined) > 1 else refuted_px
     return PlanarPoses(tuple(refined), refined[0].rms_px / second_px if second_px > 0 else 0.0)
@@ -150,7 +150,7 @@ def _rms(residuals: Floats) -> float:
     return math.sqrt(float((residuals**2).mean()))
 
 
-def _same(a: Pose, b: Pose) -> bool:
+def same_pose(a: Pose, b: Pose) -> bool:
     """Whether two refinements ended in the same minimum."""
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(a.R.T @ b.R)) - 1) / 2)))
     return angle < 1e-4 and float(np.linalg.norm(a.t - b.t)) < 1e-4 * float(np.linalg.norm(a.t))

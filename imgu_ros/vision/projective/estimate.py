@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Minimiser, minimise
 from imgu_ros.vision.estimation.ransac import Score, ransac
@@ -140,7 +140,7 @@ def fit_homography(
     refined = refine is not None and error is not HomographyError.ALGEBRAIC
     H = normalised_homography(start) if refined and start is not None else homography_dlt(src, dst)
     # Both sides centred and divided by one unit: well conditioned, and distances keep their proportions.
-    T_src, T_dst = _common_unit(src, dst)
+    T_src, T_dst = common_unit(src, dst)
     problem = _PROBLEMS[error](_mapped(T_src, src), _mapped(T_dst, dst))
     scaled = normalised_homography(T_dst @ H @ np.linalg.inv(T_src))
     if not faces_camera(scaled, _mapped(T_src, src)):
@@ -155,7 +155,7 @@ def fit_homography(
     noise = None if noise_px is None else noise_px * float(T_dst[0, 0])
     covariance = propagated_covariance(minimum, noise, correlation)
     basis = tangent_basis(minimum.estimate)
-    H, by_scaled = _unscaled(minimum.estimate, T_src, T_dst)
+    H, by_scaled = unscaled(minimum.estimate, T_src, T_dst)
     spread_out = by_scaled @ basis
     rms = math.sqrt(float((TransferProblem(src, dst).residuals(H) ** 2).mean()))
     return HomographyEstimate(H, spread_out @ covariance @ spread_out.T, np.ones(len(src), bool), rms, 0)
@@ -188,8 +188,14 @@ def _inliers(H: Matrix3, src: Points, dst: Points, threshold_px: float) -> Mask:
     return np.asarray(ahead & (np.hypot(*(xy - dst).T) <= threshold_px))
 
 
-def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
-    """Return similarities that centre each side and scale both by the same factor."""
+def common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
+    """Return the similarities (3, 3) that centre `src` and `dst`, (N, 2) each, and scale both by the same factor.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If all points of a side coincide.
+    """
     T_src, T_dst = normalisation(src), normalisation(dst)
     unit = math.sqrt(float(T_src[0, 0] * T_dst[0, 0]))
     for T in (T_src, T_dst):
@@ -201,9 +207,21 @@ def _mapped(T: Matrix3, points: Points) -> Points:
     return points @ T[:2, :2].T + T[:2, 2]
 
 
-def _unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, Floats]:
-    """Return the unit-norm H of the caller's points, and its derivative (9, 9) by the scaled one, row-major."""
-    T_inverse = np.linalg.inv(T_dst)
+def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, Floats]:
+    """Return the unit-norm H ~ T_dst^-1 scaled T_src, (3, 3), and its derivative (9, 9) by `scaled`, row-major.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If T_dst is singular, or H zero.
+    """
+    scaled, T_src, T_dst = (
+        as_matrix(M, (3, 3), name) for M, name in ((scaled, "scaled"), (T_src, "T_src"), (T_dst, "T_dst"))
+    )
+    try:
+        T_inverse = np.linalg.inv(T_dst)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration("T_dst: singular; need a similarity") from None
     raw = T_inverse @ scaled @ T_src
     H = normalised_homography(raw)
     norm = math.copysign(float(np.linalg.norm(raw)), float(np.vdot(raw, H)))

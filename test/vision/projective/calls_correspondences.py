@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.vision.projective.checks import checked_pairs, finite
+from imgu_ros.vision.projective.condensed import condensed_homography
 from imgu_ros.vision.projective.dlt import design_matrix, homography_dlt, normalisation
 from imgu_ros.vision.projective.errors import (
     algebraic_error,
@@ -21,7 +22,6 @@ from imgu_ros.vision.projective.minimal import HomographyModel
 from imgu_ros.vision.projective.refine import derivative_by_h, stepped, tangent_basis
 from imgu_ros.vision.projective.reprojection import corrected_points
 from imgu_ros.vision.projective.transform import transform
-from imgu_ros.vision.projective.trimming import trimmed_homography
 
 H = np.array([[1.2, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
 
@@ -60,6 +60,6 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     HomographyModel: _pairs,
     derivative_by_h: lambda rng: {"H": H.copy(), "points": rng.uniform(0, 100, (5, 2))},
     stepped: lambda rng: {"H": H.copy(), "delta": rng.normal(size=8) * 0.1},
-    trimmed_homography: lambda rng: {**_pairs(rng), "start": H.copy(), "threshold_px": 3.0},
+    condensed_homography: lambda rng: {**_pairs(rng), "start": H.copy(), "threshold_px": 3.0},
     tangent_basis: lambda _: {"H": H.copy()},
 }

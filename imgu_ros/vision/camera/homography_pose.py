@@ -1,0 +1,162 @@
+"""The pose of a calibrated camera before a plane, from the plane's homography (notes 8.1.5; Collins & Bartoli 2014).
+
+A homography of a plane has eight degrees of freedom, a pose six: what a condensed homography knows of its points
+decides which pose fits best, at a cost that does not depend on their number.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration, EstimationError
+from imgu_ros.types import Floats, Matrix3, as_matrix
+from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, same_pose
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.camera.rotation import exp_so3
+from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
+from imgu_ros.vision.projective.condensed import CondensedHomography
+from imgu_ros.vision.projective.refine import tangent_basis
+
+#: A second solution is refuted when it starts with this many times the first one's error.
+_REFUTED = 5.0
+#: Of a parameter's standard deviation at 1 px noise: a step this small is followed by one of its square.
+_TOLERANCE = 1e-3
+
+
+def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_from_src: ArrayLike) -> PlanarPoses:
+    """Estimate camera_from_plane from a homography's condensed correspondences.
+
+    The same as `planar_poses` of the correspondences, to second order in the residuals.
+
+    Parameters
+    ----------
+    homography : of ideal pixels from the plane's picture
+    K : (3, 3) intrinsics
+    plane_from_src : (3, 3) affine: metres on the plane z = 0 from the picture's px
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If no pose in front of the camera explains it.
+    """
+    K = as_matrix(K, (3, 3), "K")
+    src_from_plane = _inverse(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
+    problem = _PoseOfHomography(homography, K, src_from_plane)
+    refined: list[Pose] = []
+    refuted_px = math.inf
+    # The corners of a square of moderate size stand for the points.
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    plane_xy = _mapped(np.linalg.solve(homography.T_src @ src_from_plane, np.eye(3)), square)
+    normalized = _mapped(np.linalg.solve(homography.T_dst @ K, homography.scaled), square)
+    # OpenCV gives the better start first: most second ones need no refinement to be told wrong.
+    for start in planar_pose_starts(plane_xy, normalized):
+        try:
+            if refined:
+                start_px = problem.rms_px(start.matrix)
+                if start_px > _REFUTED * refined[0].rms_px:
+                    refuted_px = start_px
+                    continue
+            refined.append(problem.refined(start))
+        except EstimationError:
+            continue  # a start behind the camera or at a grazing angle is no solution
+    if not refined:
+        raise DegenerateConfiguration("H: no pose in front of the camera explains it; need a plane seen from its front")
+    refined.sort(key=lambda pose: pose.rms_px)
+    if len(refined) > 1 and same_pose(refined[0], refined[1]):
+        refined = refined[:1]
+    second_px = refined[1].rms_px if len(refined) > 1 else refuted_px
+    return PlanarPoses(tuple(refined), refined[0].rms_px / second_px if second_px > 0 else 0.0)
+
+
+class _PoseOfHomography:
+    """Residuals (8, 1) of the homography that a pose, (4, 4) camera_from_plane, gives, weighed as its points would."""
+
+    def __init__(self, homography: CondensedHomography, K: Matrix3, src_from_plane: Matrix3) -> None:
+        self._homography = homography
+        h = homography.scaled.ravel()
+        # H = A [r1 r2 t] M^-1, so that vec H = (A x M^-T) vec [r1 r2 t], row-major.
+        M_inverse = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
+        by_pose = np.kron(homography.T_dst @ K, M_inverse.T)
+        self._across = tangent_basis(homography.scaled).T @ by_pose
+        self._along = h @ by_pose
+        try:
+            self._whitening = np.linalg.cholesky(homography.normal).T
+        except np.linalg.LinAlgError:
+            raise DegenerateConfiguration(
+                "H: its points do not determine it; need points that span the plane"
+            ) from None
+        self._unit = float(homography.T_dst[0, 0])
+
+    def linearise(self, estimate: Floats) -> Linearisation:
+        """Return the whitened residuals and their derivative by (x y z rx ry rz): t + xyz, Exp(r) R."""
+        delta, scale = self._delta(estimate)
+        R = estimate[:3, :3]
+        by_step = np.zeros((3, 3, 6))
+        by_step[0, 2, 0] = by_step[1, 2, 1] = by_step[2, 2, 2] = 1
+        for column in (0, 1):
+            # d (Exp(r) v) / dr = -[v]x
+            x, y, z = R[:, column]
+            by_step[:, column, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+        flat = by_step.reshape(9, 6)
+        by_delta = (self._across @ flat - np.outer(delta, self._along @ flat)) / scale
+        return Linearisation((self._whitening @ delta)[:, None], (self._whitening @ by_delta)[:, None, :])
+
+    def step(self, estimate: Floats, delta: Floats) -> Floats:
+        """Return the transform moved by (x y z rx ry rz)."""
+        moved = np.eye(4)
+        turn = delta[3:] / max(1.0, float(np.abs(delta[3:]).max()) / 1e3)
+        moved[:3, :3] = exp_so3(turn) @ estimate[:3, :3]
+        moved[:3, 3] = estimate[:3, 3] + delta[:3]
+        return moved
+
+    def rms_px(self, estimate: Floats) -> float:
+        """Return the points' root mean square residual under a pose, per coordinate."""
+        residuals = self._whitening @ self._delta(estimate)[0]
+        return self._rms_px(float(residuals @ residuals))
+
+    def refined(self, start: RigidTransform) -> Pose:
+        """Return the pose of least error near a start, with its covariance."""
+        homography = self._homography
+        minimum = minimise(self, start.matrix, max_iterations=30, tolerance=_TOLERANCE * self._unit)
+        R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
+        by_step = minimum.linearisation.jacobian[:, 0]
+        residuals = minimum.linearisation.residuals.ravel()
+        inverse = _inverse(by_step.T @ by_step, "pose")
+        # The whitened errors of the homography have the covariance L^-1 middle L^-T.
+        gain = np.linalg.solve(self._whitening, by_step)
+        covariance = homography.noise**2 * inverse @ (gain.T @ homography.middle @ gain) @ inverse
+        rms_px = self._rms_px(float(residuals @ residuals))
+        return Pose(R, t, (covariance + covariance.T) / 2, rms_px)
+
+    def _rms_px(self, more_squares: float) -> float:
+        count = 2 * np.count_nonzero(self._homography.estimate.inliers)
+        return math.sqrt((self._homography.squares + more_squares) / count) / self._unit
+
+    def _delta(self, estimate: Floats) -> tuple[Floats, float]:
+        columns = np.empty(9)
+        columns[[0, 3, 6]], columns[[1, 4, 7]], columns[[2, 5, 8]] = estimate[:3, 0], estimate[:3, 1], estimate[:3, 3]
+        scale = float(self._along @ columns)
+        if not scale > 0:
+            raise DegenerateConfiguration("pose: the plane is behind the camera; need it in front")
+        return self._across @ columns / scale, scale
+
+
+def _mapped(H: Matrix3, points: Floats) -> Floats:
+    at = points @ H[:, :2].T + H[:, 2]
+    if not at[:, 2].min() * at[:, 2].max() > 0:
+        raise DegenerateConfiguration("H: its points are seen across the horizon; need one side of the plane")
+    return np.asarray(at[:, :2] / at[:, 2:])
+
+
+def _inverse(matrix: Floats, name: str) -> Floats:
+    try:
+        inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration(f"{name}: singular; need a regular matrix") from None
+    if not np.isfinite(inverse).all():
+        raise DegenerateConfiguration(f"{name}: nearly singular; need a regular matrix")
+    return np.asarray(inverse, np.float64)

@@ -1,0 +1,132 @@
+"""The small motion of a plane that displaced points tell, robustly: an affine map or a homography near the identity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
+
+#: Rounds of reweighting: the first ones with Cauchy's weights, which find the majority from anywhere, the others with
+#: Tukey's, which leave out what is far off.
+_CAUCHY_ROUNDS = 2
+_TUKEY_ROUNDS = 2
+_TUKEY = 4.685  # 95 % efficient for normal errors
+_LARGEST_MOTION = 1e3
+_RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A motion of the plane.
+
+    Attributes
+    ----------
+    matrix : (3, 3) moved ~ matrix @ point; near the identity
+    agreeing : (N,) displacements that are not improbably far from it
+    sigma_px : robust standard deviation of one coordinate
+    largest_px : the farthest that it moves one of the points
+    """
+
+    matrix: Matrix3
+    agreeing: Mask
+    sigma_px: float
+    largest_px: float
+
+
+class PlaneMotion:
+    """Fits motions to displacements of the same points again and again.
+
+    To first order a homography I + D moves x by a linear function of D (notes 6.5): eight numbers, or six for an
+    affine map.
+
+    Parameters
+    ----------
+    points : (N, 2) px
+    affine : leave out the two projective numbers
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If all points coincide.
+    """
+
+    def __init__(self, points: ArrayLike, affine: bool = False) -> None:
+        points = as_points(points, "points", 1)
+        centre = points.mean(axis=0)
+        self._unit = float(np.sqrt(((points - centre) ** 2).mean()))
+        if not 1e-9 < self._unit < 1e12:
+            raise DegenerateConfiguration("points: they coincide, or are no places in a picture")
+        x, y = ((points - centre) / self._unit).T
+        self._normalised = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, self._unit]]) / self._unit
+        self._back = np.array([[self._unit, 0, centre[0]], [0, self._unit, centre[1]], [0, 0, 1]])
+        by = np.zeros((len(points), 2, 6 if affine else 8))
+        by[:, 0, 0] = by[:, 1, 3] = x
+        by[:, 0, 1] = by[:, 1, 4] = y
+        by[:, 0, 2] = by[:, 1, 5] = 1
+        if not affine:
+            by[:, 0, 6], by[:, 0, 7] = -x * x, -x * y
+            by[:, 1, 6], by[:, 1, 7] = -x * y, -y * y
+        self._by = by
+
+    def fit(self, displacements: Points, usable: Mask, floor_px: float = 0.01, before: Motion | None = None) -> Motion:
+        """Fit the motion that most displacements agree on.
+
+        Parameters
+        ----------
+        displacements : (N, 2) px
+        usable : (N,) those that count
+        floor_px : least standard deviation of a coordinate, > 0
+        before : what nearly the same displacements told before: a start that saves rounds
+
+        Raises
+        ------
+        NoConsensus
+            If fewer are usable than the motion has parameters, or they do not determine one.
+        """
+        count, _, parameters = self._by.shape
+        if displacements.shape != (count, 2) or usable.shape != (count,):
+            raise ShapeError(f"displacements: shape {displacements.shape}; need ({count}, 2)")
+        used = int(np.count_nonzero(usable))
+        if 2 * used < parameters + 4:
+            raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
+        moved = displacements / self._unit
+        floor = floor_px / self._unit
+        weights = usable.astype(np.float64)
+        cauchy_rounds = _CAUCHY_ROUNDS
+        if before is not None and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
+            weights *= before.agreeing
+            cauchy_rounds = 0
+        motion, squared, sigma = np.zeros(parameters), np.zeros(count), floor
+        for turn in range(cauchy_rounds + _TUKEY_ROUNDS):
+            motion = self._solved(moved, weights)
+            away = moved - self._by @ motion
+            squared = np.einsum("ni,ni->n", away, away)
+            # The distance that half of them are within; np.median takes ten times as long.
+            middle = float(np.partition(squared[usable], used // 2)[used // 2])
+            sigma = max(math.sqrt(middle) / _RAYLEIGH_MEDIAN, floor)
+            if turn < cauchy_rounds:
+                weights = usable / (1 + squared / (2 * sigma) ** 2)
+            else:
+                weights = usable * np.maximum(1 - squared / (_TUKEY * sigma) ** 2, 0) ** 2
+        matrix = np.eye(3)
+        matrix[:2] += motion[:6].reshape(2, 3)
+        if parameters == 8:
+            matrix[2, :2] += motion[6:]
+        largest = float(np.abs(self._by @ motion).max()) * self._unit
+        return Motion(self._back @ matrix @ self._normalised, weights > 0, sigma * self._unit, largest)
+
+    def _solved(self, moved: Floats, weights: Floats) -> Floats:
+        rows = (self._by * weights[:, None, None]).reshape(-1, self._by.shape[2])
+        try:
+            motion = np.linalg.solve(rows.T @ self._by.reshape(rows.shape), rows.T @ moved.ravel())
+        except np.linalg.LinAlgError:
+            motion = np.full(rows.shape[1], np.inf)
+        # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
+        if not np.abs(motion).max() < _LARGEST_MOTION:
+            raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
+        return motion
