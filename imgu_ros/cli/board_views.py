@@ -79,6 +79,7 @@ def find_board_views(
     pattern: str | None = None,
     most: int = 50,
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
+    on_trial: Callable[[int, int | None], None] = lambda done, total: None,
 ) -> BoardViews:
     """Look for the board in image files, folders of them, or one bag.
 
@@ -90,6 +91,7 @@ def find_board_views(
     pattern : the image files are Bayer mosaics of this pattern; None: they are pictures
     most : views to choose at most
     on_progress : called after each picture with the number of those done and, when it is known, of all
+    on_trial : called likewise while boards of other sizes are looked for, when this one is in no picture
 
     Raises
     ------
@@ -129,14 +131,19 @@ def find_board_views(
         on_progress(index + 1, len(files) or None)
     if not found and not refused:
         raise BagError(f"{paths[0]}: no picture in it; need views of the board")
-    return _chosen(found, refused, board, kept, most)
+    return _chosen(found, refused, board, kept, most, on_trial)
 
 
 def _chosen(
-    found: list[BoardView], refused: list[RefusedPicture], board: Chessboard, kept: list[Image], most: int
+    found: list[BoardView],
+    refused: list[RefusedPicture],
+    board: Chessboard,
+    kept: list[Image],
+    most: int,
+    on_trial: Callable[[int, int | None], None],
 ) -> BoardViews:
     if not found:
-        raise TooFewPoints(_nothing_found(refused, board, kept))
+        raise TooFewPoints(_nothing_found(refused, board, kept, on_trial))
     (width, height), _ = Counter((view.width, view.height) for view in found).most_common(1)[0]
     fitting = [view for view in found if (view.width, view.height) == (width, height)]
     refused = refused + [
@@ -160,18 +167,23 @@ def _chosen(
     return BoardViews(width, height, tuple(fitting[i] for i in indices), tuple(refused))
 
 
-def _nothing_found(refused: list[RefusedPicture], board: Chessboard, kept: list[Image]) -> str:
+def _nothing_found(
+    refused: list[RefusedPicture],
+    board: Chessboard,
+    kept: list[Image],
+    on_trial: Callable[[int, int | None], None],
+) -> str:
     unread = [picture for picture in refused if picture.reason != _NO_BOARD]
     if len(unread) == len(refused):
         return f"board: none of {len(refused)} pictures can be read; the first: {unread[0].name}: {unread[0].reason}"
     start = f"board: no {board.columns}x{board.rows} board found in {len(refused)} pictures"
-    other = next(filter(None, (_other_size(grey, board) for grey in kept)), None)
+    other = _other_size(kept, board, on_trial)
     if other is not None:
         return f"{start}, but a {other.columns}x{other.rows} one; need --board with the number of inner corners"
     return f"{start}; need pictures of the whole board, sharp, with a white margin; --board counts inner corners"
 
 
-def _other_size(grey: Image, board: Chessboard) -> Chessboard | None:
+def _other_size(kept: list[Image], board: Chessboard, on_trial: Callable[[int, int | None], None]) -> Chessboard | None:
     """Look for a board of nearly the size that was asked for, the largest first (smaller ones are a part of it)."""
     sizes = [
         (board.columns + more, board.rows + more_rows)
@@ -179,7 +191,10 @@ def _other_size(grey: Image, board: Chessboard) -> Chessboard | None:
         for more_rows in (1, 0, -1, -2)
         if (more, more_rows) != (0, 0) and min(board.columns + more, board.rows + more_rows) >= FEWEST_CORNERS
     ]
-    for columns, rows in sorted(sizes, key=lambda size: -size[0] * size[1]):
+    largest_first = sorted(sizes, key=lambda size: -size[0] * size[1])
+    trials = [(grey, size) for grey in kept for size in largest_first]
+    for index, (grey, (columns, rows)) in enumerate(trials):
+        on_trial(index, len(trials))
         other = Chessboard(columns, rows, board.square_m)
         if find_chessboard(grey, other, quick=False) is not None:
             return other

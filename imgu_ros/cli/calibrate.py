@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     columns, rows = arguments.board
     board = Chessboard(columns, rows, arguments.square)
-    with Progress("calibrate", "pictures") as progress:
+    with Progress("calibrate", "pictures") as progress, Progress("calibrate: other boards", "trials") as trials:
         found = find_board_views(
             arguments.input,
             board,
@@ -66,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
             pattern=arguments.pattern,
             most=arguments.max_views,
             on_progress=progress,
+            on_trial=trials,
         )
     calibration = calibrate(
         board.corners(), [view.corners for view in found.views], found.width, found.height, arguments.model

@@ -111,6 +111,11 @@ def run(arguments: argparse.Namespace) -> int:
         f"{out}: {simulation.frames} frames of {simulation.width}x{simulation.height}, {bag_format.encoding}; ", end=""
     )
     print(f"{len(targets)} target{'s' * (len(targets) > 1)}, {len(truths)} true poses")
+    if simulation.capture.f_number:
+        from imgu_ros.simulate.lens import described_lens
+        from imgu_ros.simulate.sequence import camera_of
+
+        print(described_lens(simulation.capture, camera_of(simulation)))
     print(f"imgu replay {out} --params-file {out / PARAMETER_FILE} --truth {out / TRUTH_FILE} --out DIR")
     return 0
 

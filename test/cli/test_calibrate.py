@@ -9,9 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from imgu_ros.cli.board_views import find_board_views
 from imgu_ros.cli.main import main
+from imgu_ros.errors import TooFewPoints
 from imgu_ros.files.camera_info_file import read_camera_info, read_camera_name
 from imgu_ros.files.images import read_image, write_image
+from imgu_ros.params import Parameters
 from imgu_ros.simulate.chessboard import draw_chessboard, random_chessboard_view
 from imgu_ros.vision.camera.chessboard import Chessboard
 from imgu_ros.vision.camera.intrinsics import make_camera
@@ -146,3 +149,17 @@ def test_bad_input_is_one_line(pictures: Path, tmp_path: Path, capsys: pytest.Ca
         assert expected in error[0]
     for arguments in (["--board", "9"], ["--square", "-1"], ["--max-views", "2"], ["--model", "fisheye"]):
         assert calibrate(*views, *OPTIONS, *arguments) == 2
+
+
+def test_the_search_for_other_boards_says_how_far_it_is(pictures: Path) -> None:
+    calls: list[tuple[int, int | None]] = []
+    with pytest.raises(TooFewPoints, match="but a 7x5 one; need --board"):
+        find_board_views(
+            [pictures / "view0.png"],
+            Chessboard(8, 6, 0.03),
+            Parameters(),
+            on_trial=lambda done, total: calls.append((done, total)),
+        )
+    # One more and two fewer along each side, but for the board itself: 15, the largest first.
+    assert calls == [(index, 15) for index in range(len(calls))]
+    assert len(calls) > 1
