@@ -31,7 +31,7 @@ class MessageRecord:
 
     channel_id: int
     time_ns: int
-    data: bytes
+    data: bytes | memoryview
 
 
 Record = SchemaRecord | ChannelRecord | MessageRecord

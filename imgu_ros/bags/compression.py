@@ -51,7 +51,7 @@ def decompressed(data: bytes, method: str, size: int) -> bytes:
     return result
 
 
-def decompressed_message(data: bytes) -> bytes:
+def decompressed_message(data: bytes | memoryview) -> bytes | memoryview:
     """Return a message's bytes, decompressed when rosbag2 compressed it by itself.
 
     Serialised messages begin with 0 (CDR), never with zstd's magic, so that no metadata is needed to tell.
@@ -61,7 +61,7 @@ def decompressed_message(data: bytes) -> bytes:
     BagError
         If the compressed data are damaged or larger than any sane message.
     """
-    if not data.startswith(ZSTD_MAGIC):
+    if data[: len(ZSTD_MAGIC)] != ZSTD_MAGIC:
         return data
     result = _decompressed_zstd(data, MAX_BYTES)
     if len(result) > MAX_BYTES:
@@ -93,7 +93,7 @@ def decompress_file(source: Path, target: Path) -> str:
         raise BagError(f"{source}: cannot decompress to {target.parent}: {error.strerror}") from None
 
 
-def _decompressed_zstd(data: bytes, limit: int) -> bytes:
+def _decompressed_zstd(data: bytes | memoryview, limit: int) -> bytes:
     decompressor = zstd.ZstdDecompressor()
     try:
         result = decompressor.decompress(data, max_length=limit + 1)

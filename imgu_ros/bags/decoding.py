@@ -67,10 +67,10 @@ class MessageDecoder:
         """
         channel = raw.channel
         if channel.serialization == Serialization.CDR and self.type_error(channel):
-            return decompressed_message(raw.data)  # a type that the receiver may know
+            return bytes(decompressed_message(raw.data))  # a type that the receiver may know
         message = self.decoded(raw)
         if channel.serialization == Serialization.CDR:
-            return decompressed_message(raw.data)
+            return bytes(decompressed_message(raw.data))
         try:
             return bytes(typestore().serialize_cdr(message, channel.type_name))
         except Exception as error:  # a type or a field that ROS 2 does not have, or has otherwise

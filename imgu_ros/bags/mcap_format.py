@@ -21,6 +21,9 @@ PREFIX = struct.Struct("<BQ")
 #: Enough of a record to hold everything of a chunk but its data.
 HEAD_BYTES = PREFIX.size + 64
 
+#: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
+_VIEWED_BYTES = 2**16
+
 _CHUNK_FIXED = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
 _INDEX = struct.Struct("<HI")
@@ -128,8 +131,12 @@ def mcap_records(data: bytes) -> Iterator[Record]:
             raise BagError(f"record at byte {at} announces {length} bytes; {len(data) - start} are there")
         if opcode == Opcode.MESSAGE:
             channel_id, time_ns = message_time(data[at : start + _MESSAGE.size], length)
-            # A copy, so that the bytes begin aligned and do not keep the whole chunk in memory.
-            yield MessageRecord(channel_id, time_ns, data[start + _MESSAGE.size : end])
+            content: bytes | memoryview
+            if 4 * length > len(data) and length > _VIEWED_BYTES:
+                content = memoryview(data)[start + _MESSAGE.size : end]
+            else:  # a copy, so that a small message does not keep the whole chunk in memory
+                content = data[start + _MESSAGE.size : end]
+            yield MessageRecord(channel_id, time_ns, content)
         elif opcode == Opcode.SCHEMA:
             yield schema_record(data[start:end])
         elif opcode == Opcode.CHANNEL:

@@ -56,7 +56,7 @@ class RawMessage:
 
     channel: Channel
     time_ns: int
-    data: bytes
+    data: bytes | memoryview
 
 
 class Warnings:

@@ -22,3 +22,6 @@ class MessageFactory(Protocol):
 
     def __call__(self, type_name: str, /, **fields: object) -> Any:
         """Return a message of `type_name`, "package/msg/Name", with the given fields."""
+
+    def __hash__(self) -> int:
+        """Return a number by which messages of this factory can be kept for the next time."""
