@@ -190,7 +190,7 @@ class PreprocessParameters:
 @dataclass(frozen=True, slots=True)
 class PyramidParameters:
     kind: str = parameter(
-        "fine",
+        "coarse",
         "`coarse`: octaves; `fine`: several scales in every octave; `laplacian`: octaves, as bands of detail.",
         choices=("coarse", "fine", "laplacian"),
     )
@@ -202,8 +202,8 @@ class PyramidParameters:
     levels: int = parameter(8, "Most levels; fewer when the image gets too small.", minimum=1, maximum=32)
     scales_per_octave: int = parameter(3, "Levels in an octave when `pyramid.kind` is `fine`.", minimum=1, maximum=8)
     max_side_px: int = parameter(
-        1280,
-        "Longest side of level 0: a larger image is reduced by halves before features are sought.",
+        800,
+        "Longest side of level 0: a larger image is reduced, to a half, a third, ..., before features are sought.",
         unit="px",
         minimum=64,
         maximum=16384,
@@ -214,7 +214,7 @@ class PyramidParameters:
 class KeypointsParameters:
     detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "moravec", "dog", "mser", "orb"))
     max_count: int = parameter(
-        1000, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
+        700, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
     )
     fast_arc: int = parameter(
         9,
@@ -255,7 +255,11 @@ class HomographyParameters:
         choices=("truncated", "biweight"),
     )
     threshold_px: float = parameter(
-        3.0, "Largest distance of an inlier, in pixels of the full image.", unit="px", minimum=0.1, maximum=100.0
+        3.0,
+        "Largest distance of an inlier, in pixels of level 0 of the pyramid.",
+        unit="px",
+        minimum=0.1,
+        maximum=100.0,
     )
     confidence: float = parameter(
         0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999
@@ -272,6 +276,19 @@ class HomographyParameters:
         "How the inliers' error is minimised; with `none`, or the error `algebraic`, the linear fit stays.",
         choices=("none", "steepest_descent", "gauss_newton", "levenberg_marquardt"),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class SearchParameters:
+    thorough: bool = parameter(
+        True,
+        "When no target was found in a frame, look once more, thoroughly: with more pixels, scales and keypoints, and "
+        "for oblique views.",
+    )
+    max_side_px: int = parameter(
+        1920, "Longest side of level 0 in a thorough search.", unit="px", minimum=64, maximum=16384
+    )
+    max_count: int = parameter(2000, "Most keypoints of a frame in a thorough search.", minimum=8, maximum=100_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,6 +350,7 @@ class Parameters:
     descriptor: DescriptorParameters = field(default_factory=DescriptorParameters)
     matching: MatchingParameters = field(default_factory=MatchingParameters)
     homography: HomographyParameters = field(default_factory=HomographyParameters)
+    search: SearchParameters = field(default_factory=SearchParameters)
     refinement: RefinementParameters = field(default_factory=RefinementParameters)
     tracking: TrackingParameters = field(default_factory=TrackingParameters)
     pose: PoseParameters = field(default_factory=PoseParameters)

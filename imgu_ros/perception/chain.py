@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,19 +12,16 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.develop import Developed
 from imgu_ros.perception.development import Development, develop_frame
+from imgu_ros.perception.features import find_features
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import posed
-from imgu_ros.perception.preprocessing import preprocessed, with_edges
 from imgu_ros.perception.refinement import Alignment
 from imgu_ros.perception.result import Result, Stage, Status, TargetMatches, TargetResult
-from imgu_ros.perception.search import Searched, search
+from imgu_ros.perception.seeking import Seeker, View
 from imgu_ros.perception.targets import Target
 from imgu_ros.perception.tracking import Sighting, Track, follow, located
-from imgu_ros.vision.descriptors.describe import Descriptions, describe
-from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.matching.matches import Matches
-from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
 
 
 class Chain:
@@ -42,6 +38,7 @@ class Chain:
     def __init__(self, parameters: Parameters, targets: Sequence[Target]) -> None:
         self._parameters = parameters
         self._targets = tuple(targets)
+        self._seeker = Seeker(self._targets, parameters)
         self._tracks: list[Track | None] = []
         self._frames_without_search = 0
         self.reset()
@@ -89,13 +86,12 @@ class Chain:
         ]
         missing = [index for index, result in enumerate(results) if result is None]
         due = self._search_is_due(missing)
-        features = self._features(developed, clock) if due or with_keypoints else None
+        features = find_features(developed.grey, self._parameters, clock) if due or with_keypoints else None
         if features is not None and due:
-            searched = Searched(frame, pictures, features.described)
-            for index in missing:
-                # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
-                rng = np.random.default_rng((self._parameters.seed, frame.stamp_ns % 2**64, index))
-                results[index] = search(self._targets[index], index, searched, self._parameters, rng, clock)
+            covered = [result.outline for result in results if result is not None and result.outline is not None]
+            view = View(frame, pictures, features, covered)
+            for result in self._seeker.seek(view, missing, clock, self._parameters.search.thorough):
+                results[result.index] = result
         targets = tuple(
             result or TargetResult(target.name, index, Status.LOST, reason="not looked for in this frame")
             for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
@@ -135,23 +131,6 @@ class Chain:
         none_in_view = len(missing) == len(self._targets)
         return just_lost or none_in_view or self._frames_without_search + 1 >= self._parameters.tracking.search_every
 
-    def _features(self, developed: Developed, clock: StageClock) -> _Features:
-        p = self._parameters
-        with clock.measures(Stage.PYRAMID):
-            pyramid = build_pyramid(
-                preprocessed(developed.grey, p.preprocess, p.pyramid.kernel),
-                p.pyramid.kind,
-                p.pyramid.levels,
-                p.pyramid.scales_per_octave,
-                p.pyramid.max_side_px,
-                kernel=p.pyramid.kernel,
-            )
-            pyramid = with_edges(pyramid, p.preprocess)
-        with clock.measures(Stage.KEYPOINTS):
-            keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count, fast_arc=p.keypoints.fast_arc)
-        with clock.measures(Stage.DESCRIBE):
-            return _Features(pyramid, describe(pyramid, keypoints, p.descriptor.kind))
-
     def _remember(self, frame: Frame, targets: Sequence[TargetResult]) -> None:
         if not self._parameters.tracking.enabled:
             return
@@ -164,14 +143,6 @@ class Chain:
             else:
                 target = self._targets[result.index]
                 self._tracks[result.index] = track.continued(target, result.homography.H, frame.stamp_ns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Features:
-    """A frame's pyramid, and its keypoints with descriptors."""
-
-    pyramid: Pyramid
-    described: Descriptions
 
 
 def _as_matches(alignment: Alignment) -> TargetMatches:

@@ -8,11 +8,12 @@ import numpy as np
 
 from imgu_ros.errors import EstimationError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.features import Features
 from imgu_ros.perception.posing import Located, require_plausible
 from imgu_ros.perception.result import TargetMatches
+from imgu_ros.perception.target_features import TargetFeatures
 from imgu_ros.perception.targets import Target
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.guided import guided_homography
 from imgu_ros.vision.matching.matches import Matches
 
@@ -35,23 +36,29 @@ class Guided:
 
 
 def guided(
-    target: Target, described: Descriptions, found: Guided, lens: Camera | None, parameters: Parameters
+    target: Target,
+    known: TargetFeatures,
+    features: Features,
+    found: Guided,
+    lens: Camera | None,
+    parameters: Parameters,
 ) -> Guided:
     """Match again, guided by the homography of `found`, to convergence; `found` itself when that brings no more."""
     p = parameters.homography
+    described = features.described
     xy, usable = described.keypoints.xy, np.arange(len(described.keypoints))
     if lens is not None:
         xy, inside = lens.ideal_pixels(xy)
         usable = np.flatnonzero(inside)
     try:
         more = guided_homography(
-            target.described.descriptors,
+            known.described.descriptors,
             described.descriptors[usable],
-            target.described.keypoints.xy,
+            known.described.keypoints.xy,
             xy[usable],
             found.located.homography.H,
-            threshold_px=p.threshold_px,
-            metric=target.gallery.metric,
+            threshold_px=p.threshold_px * features.unit_px,
+            metric=known.gallery.metric,
             ratio=max(_RATIO, parameters.matching.ratio),
             min_inliers=max(p.min_inliers, int(found.matches.inliers.sum())),
             error=p.error,
@@ -63,7 +70,7 @@ def guided(
     inliers = more.homography.inliers
     matches = Matches(more.matches.index_src, usable[more.matches.index_dst], more.matches.distance)
     tentative = TargetMatches(
-        matches, target.described.keypoints.xy[matches.index_src], described.keypoints.xy[matches.index_dst], inliers
+        matches, known.described.keypoints.xy[matches.index_src], described.keypoints.xy[matches.index_dst], inliers
     )
     located = Located(tentative.template_xy[inliers], tentative.image_xy[inliers], more.homography)
     return Guided(tentative, located)

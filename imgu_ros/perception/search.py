@@ -9,12 +9,15 @@ import numpy as np
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, TooFewPoints
 from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
+from imgu_ros.perception.confirming import require_confirmed
+from imgu_ros.perception.features import Features
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.guiding import Guided, guided
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, bending, posed, require_plausible
 from imgu_ros.perception.refinement import refine_by_alignment
 from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResult
+from imgu_ros.perception.target_features import TargetFeatures
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Mask
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -35,12 +38,18 @@ class Searched:
     ----------
     frame : as it came
     pictures : the grey one, at every resolution
-    described : the frame's keypoints and descriptors
+    features : the frame's keypoints and descriptors
+    thorough : whether they are those of a thorough search
     """
 
     frame: Frame
     pictures: Pictures
-    described: Descriptions
+    features: Features
+    thorough: bool = False
+
+    def features_of(self, target: Target) -> TargetFeatures:
+        """Return what this frame's descriptors are to be matched to."""
+        return target.thorough.features() if self.thorough else target.features
 
 
 def search(
@@ -53,43 +62,50 @@ def search(
 ) -> TargetResult:
     """Look for a target in a frame; what fails becomes a status with its reason."""
     with clock.measures(Stage.MATCH):
-        matches = _matched(target, searched.described, parameters)
+        known = searched.features_of(target)
+        matches = _matched(known, searched.features.described, parameters)
     missing = TargetResult(target.name, index, Status.LOST, matches=matches)
     lens = bending(searched.frame.camera)
     try:
         with clock.measures(Stage.HOMOGRAPHY):
-            located, inliers = _located(target, matches, lens, parameters, rng)
+            located, inliers = _located(target, matches, searched, lens, parameters, rng)
             matches = replace(matches, inliers=inliers)
             if parameters.matching.guided:
-                more = guided(target, searched.described, Guided(matches, located), lens, parameters)
+                more = guided(target, known, searched.features, Guided(matches, located), lens, parameters)
                 matches, located = more.matches, more.located
+        with clock.measures(Stage.REFINE):
+            if parameters.refinement.enabled:
+                located = _aligned(target, searched, located, lens, parameters)
+            require_confirmed(searched.pictures, target, located.homography.H, lens)
     except DegenerateConfiguration as error:
         return replace(missing, status=Status.DEGENERATE, reason=str(error))
     except EstimationError as error:
         return replace(missing, reason=str(error))
-    if parameters.refinement.enabled:
-        with clock.measures(Stage.REFINE):
-            located = _aligned(target, searched, located, lens, parameters)
     found = replace(missing, status=Status.DETECTED, matches=matches)
     with clock.measures(Stage.POSE):
         return posed(found, target, located, searched.frame.camera, parameters)
 
 
-def _matched(target: Target, described: Descriptions, parameters: Parameters) -> TargetMatches:
+def _matched(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> TargetMatches:
     p = parameters.matching
-    found = match_to_gallery(described.descriptors, target.gallery, p.ratio, p.mutual)
+    found = match_to_gallery(described.descriptors, known.gallery, p.ratio, p.mutual)
     # Sought from the frame to the target, told from the target to the frame.
     matches = Matches(found.index_dst, found.index_src, found.distance)
     return TargetMatches(
         matches,
-        target.described.keypoints.xy[matches.index_src],
+        known.described.keypoints.xy[matches.index_src],
         described.keypoints.xy[matches.index_dst],
         np.zeros(len(matches), bool),
     )
 
 
 def _located(
-    target: Target, matches: TargetMatches, lens: Camera | None, parameters: Parameters, rng: np.random.Generator
+    target: Target,
+    matches: TargetMatches,
+    searched: Searched,
+    lens: Camera | None,
+    parameters: Parameters,
+    rng: np.random.Generator,
 ) -> tuple[Located, Mask]:
     """Return the homography of the tentative matches, and which of them agree with it."""
     p = parameters.homography
@@ -104,7 +120,7 @@ def _located(
         matches.template_xy[usable],
         ideal[usable],
         rng,
-        threshold_px=p.threshold_px,
+        threshold_px=p.threshold_px * searched.features.unit_px,
         sampler=p.sampler,
         score=p.score,
         confidence=p.confidence,

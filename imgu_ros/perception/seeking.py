@@ -1,0 +1,137 @@
+"""Looking for the targets that no track led to: which of them, and how thoroughly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgu_ros.params import Parameters
+from imgu_ros.perception.clock import StageClock
+from imgu_ros.perception.features import Features, find_features, thoroughly
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.pictures import Pictures
+from imgu_ros.perception.result import Stage, TargetResult
+from imgu_ros.perception.search import Searched, search
+from imgu_ros.perception.targets import Target
+from imgu_ros.types import Points
+from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.matching.index import DescriptorIndex, build_index
+
+#: Up to so many missing targets, each is looked for; of more, those that the index names.
+_DIRECT = 3
+#: Failures after which the less likely targets are left.
+_FAILURES = 3
+_FEWEST_VOTES = 4
+#: What is known to be covered is drawn at an eighth of the resolution.
+_MASK_STEP = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A frame to look for targets in.
+
+    Attributes
+    ----------
+    frame : as it came
+    pictures : the grey one, at every resolution
+    features : of a first look
+    covered : outlines, (4, 2) raw px, of the targets that were found already
+    """
+
+    frame: Frame
+    pictures: Pictures
+    features: Features
+    covered: Sequence[Points] = ()
+
+
+class Seeker:
+    """Looks for known targets.
+
+    Parameters
+    ----------
+    targets : prepared with the same parameters
+    parameters : all parameters
+    """
+
+    def __init__(self, targets: Sequence[Target], parameters: Parameters) -> None:
+        self._targets = tuple(targets)
+        self._parameters = parameters
+        self._index: DescriptorIndex | None = None
+        if len(targets) > _DIRECT:
+            self._index = build_index([target.features.described.descriptors for target in targets])
+
+    def prepare(self) -> None:
+        """Make what the first thorough search would have to wait for."""
+        if self._parameters.search.thorough:
+            for target in self._targets[:_DIRECT]:
+                target.thorough.features()
+
+    def seek(self, view: View, missing: Sequence[int], clock: StageClock, thorough: bool) -> Iterator[TargetResult]:
+        """Yield what became of the missing targets that were looked for.
+
+        Parameters
+        ----------
+        view : the frame
+        missing : indices of targets
+        clock : takes the time of the stages
+        thorough : look once more, thoroughly, when no target at all was found
+        """
+        left = dict.fromkeys(missing)
+        any_found = bool(view.covered)
+        for result in self._search(view, view.features, tuple(left), clock, thorough=False):
+            if result.status.found:
+                any_found = True
+                del left[result.index]
+                yield result
+            else:
+                left[result.index] = result
+        if thorough and not any_found:
+            p = thoroughly(self._parameters)
+            features = find_features(view.pictures.halved(0), p, clock)
+            for result in self._search(view, features, tuple(left), clock, thorough=True):
+                left[result.index] = result
+        yield from (result for result in left.values() if result is not None)
+
+    def _search(
+        self, view: View, features: Features, missing: Sequence[int], clock: StageClock, thorough: bool
+    ) -> Iterator[TargetResult]:
+        features = _uncovered(view, features)
+        searched = Searched(view.frame, view.pictures, features, thorough)
+        with clock.measures(Stage.MATCH):
+            likely = self._likely(features.described, missing)
+        failures = 0
+        for index in likely:
+            # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
+            rng = np.random.default_rng((self._parameters.seed, view.frame.stamp_ns % 2**64, index))
+            result = search(self._targets[index], index, searched, self._parameters, rng, clock)
+            failures = 0 if result.status.found else failures + 1
+            yield result
+            if failures >= _FAILURES:
+                break
+
+    def _likely(self, described: Descriptions, missing: Sequence[int]) -> Sequence[int]:
+        """Return the missing targets that are worth a search, the most likely first."""
+        if self._index is None or len(missing) <= _DIRECT:
+            return missing
+        candidates = np.array(missing)
+        votes = self._index.votes(described.descriptors)[candidates]
+        order = np.argsort(-votes, kind="stable")
+        return [int(index) for index in candidates[order[votes[order] >= _FEWEST_VOTES]]]
+
+
+def _uncovered(view: View, features: Features) -> Features:
+    """Return the features without those on targets that were found."""
+    if not view.covered:
+        return features
+    height, width = view.pictures.shape
+    mask = np.zeros((height // _MASK_STEP + 1, width // _MASK_STEP + 1), np.uint8)
+    for outline in view.covered:
+        corners = np.clip(np.rint(outline / _MASK_STEP), -30000, 30000).astype(np.int32)
+        cv2.fillConvexPoly(mask, corners, 1)
+    x, y = (features.described.keypoints.xy // _MASK_STEP).astype(np.intp).T
+    kept = np.flatnonzero(mask[np.clip(y, 0, len(mask) - 1), np.clip(x, 0, mask.shape[1] - 1)] == 0)
+    described = features.described
+    return Features(features.pyramid, Descriptions(described.keypoints.chosen(kept), described.descriptors[kept]))
