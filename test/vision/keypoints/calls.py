@@ -10,6 +10,7 @@ import numpy as np
 
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.dog import detect_dog
+from imgu_ros.vision.keypoints.dog_centres import refined_centres
 from imgu_ros.vision.keypoints.dominant import dominant_orientations
 from imgu_ros.vision.keypoints.fast import detect_fast
 from imgu_ros.vision.keypoints.harris import detect_harris, harris_response
@@ -47,6 +48,11 @@ def five_keypoints(rng: Generator) -> Keypoints:
 CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     detect: lambda rng: {"pyramid": build_pyramid(picture(rng)), "detector": "harris", "max_count": 20},
     detect_dog: lambda rng: {"image": picture(rng), "max_count": 20},
+    refined_centres: lambda rng: {
+        "image": picture(rng),
+        "xy": rng.uniform(4, 20, (5, 2)),
+        "scale": rng.uniform(1, 3, 5),
+    },
     detect_fast: lambda rng: {"image": picture(rng), "max_count": 20, "arc": 11},
     detect_harris: lambda rng: {"image": picture(rng), "max_count": 20},
     detect_moravec: lambda rng: {"image": picture(rng), "max_count": 20},

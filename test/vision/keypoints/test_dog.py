@@ -7,6 +7,7 @@ import pytest
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.vision.keypoints.dog import detect_dog
+from imgu_ros.vision.keypoints.dog_centres import refined_centres
 
 #: Ratio of the blurs of two successive scales, three an octave.
 STEP = 2 ** (1 / 3)
@@ -38,14 +39,46 @@ def test_blobs_to_a_tenth_of_a_pixel_and_five_percent(sigma, contrast, center):
     assert blob_sigma(found.scale[0]) == pytest.approx(sigma, rel=0.05)
 
 
-@pytest.mark.parametrize("sigma", [12.0, 20.0, 30.0])
-def test_large_blobs_to_a_fiftieth_of_their_size(sigma):
+@pytest.mark.parametrize("sigma", [12.0, 20.0, 32.0])
+def test_large_blobs_to_a_tenth_of_a_pixel_too(sigma):
     rng = np.random.default_rng(int(sigma))
     side = int(16 * sigma + 60)
     for center in side / 2 + rng.uniform(-4, 4, (3, 2)):
         found = detect_dog(blob(center, sigma, 100, size=(side, side)), 20)
-        assert np.hypot(*(found.xy[0] - center)) < sigma / 50
+        assert np.hypot(*(found.xy[0] - center)) < 0.1
         assert blob_sigma(found.scale[0]) == pytest.approx(sigma, rel=0.05)
+
+
+@pytest.mark.parametrize("sigma", [2.0, 6.0, 25.0])
+@pytest.mark.parametrize("stretch", [1.0, 1.5])
+def test_centres_are_found_from_a_tenth_of_the_scale_off(sigma, stretch):
+    rng = np.random.default_rng(3)
+    side = int(14 * sigma + 41)  # odd: no whole number of reduced pixels
+    center = side / 2 + rng.uniform(-3, 3, 2)
+    x, y = np.meshgrid(np.arange(side) - center[0], np.arange(side) - center[1])
+    light = 128 - 90 * np.exp(-((x / stretch) ** 2 + y**2) / (2 * sigma**2)) + rng.normal(0, 1, x.shape)
+    start = center + 0.1 * sigma * rng.normal(size=(20, 2))
+    found = refined_centres(np.rint(light).astype(np.uint8), start, np.full(20, sigma / STEP**0.5))
+    assert np.abs(found - center).max() < 0.05
+    assert np.ptp(found, axis=0).max() < 0.01  # wherever they started
+
+
+def test_points_that_are_no_extrema_stay():
+    # A saddle, a flat picture, a place far from the blob, one outside.
+    x, y = np.meshgrid(np.arange(101.0) - 50, np.arange(101.0) - 50)
+    saddle = np.rint(128 + 60 * np.sin(x / 9) * np.sin(y / 9)).astype(np.uint8)
+    assert refined_centres(saddle, [[50.2, 50.1]], [4.0]).tolist() == [[50.2, 50.1]]
+    flat = np.full((101, 101), 9, np.uint8)
+    assert refined_centres(flat, [[50.2, 50.1], [0, 0]], [4.0, 30.0]).tolist() == [[50.2, 50.1], [0, 0]]
+    one = blob((50, 50), 4, 100, size=(101, 101))
+    assert refined_centres(one, [[56.0, 50], [200, 50]], [3.6, 3.6]).tolist() == [[56.0, 50], [200, 50]]
+    assert refined_centres(one, np.zeros((0, 2)), []).shape == (0, 2)
+
+
+@pytest.mark.parametrize("scale", [[1.0], [0.0, 1.0], [1.0, np.nan], [1.0, 1e5], [[1.0, 1.0]]])
+def test_scales_of_centres_are_checked(scale):
+    with pytest.raises(ShapeError, match="scale"):
+        refined_centres(np.zeros((9, 9), np.uint8), [[1, 1], [2, 2]], scale)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 3.0, 5.0, 8.0])
