@@ -36,6 +36,11 @@ def make_method(name: str, targets: Sequence[TargetImage], parameters: Parameter
     ParameterError
         If there is no such method.
     """
+    check_method(name)
+    return METHODS[name](parameters or Parameters(), targets)
+
+
+def check_method(name: str) -> None:
+    """Raise ParameterError when there is no method of that name."""
     if name not in METHODS:
         raise ParameterError(f"method: {name!r}; need one of {', '.join(METHODS)}")
-    return METHODS[name](parameters or Parameters(), targets)

@@ -44,14 +44,18 @@ def peak_memory(method: str, width: int, height: int) -> PeakMemory:
 
     Raises
     ------
+    ParameterError
+        If there is no such method.
     FileError
         If the process cannot be measured: the system has no /proc, or the process ended badly.
     """
     import numpy as np
 
+    from imgu_ros.bench.lineup import check_method
     from imgu_ros.simulate.conditions import PLAIN
     from imgu_ros.simulate.trials import Trial, trial_frames
 
+    check_method(method)
     if not _STATUS.is_file():
         raise FileError(f"{_STATUS}: not there; need Linux to measure memory")
     with tempfile.TemporaryDirectory(prefix="imgu_bench_") as folder:

@@ -153,7 +153,7 @@ def _run(
 
 def _negatives(options: Options) -> Iterator[Row]:
     # Without photographs of the user's, textures that are none of the targets: much of nature's statistics.
-    photographs = options.photographs or tuple(procedural_texture(1280, 960, 4000 + i) for i in range(8))
+    photographs = options.photographs or tuple(procedural_texture(800, 600, 4000 + i) for i in range(8))
     for size in options.sizes:
         runs = []
         for seed in options.seeds:
