@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from imgu_ros.bench.figures import Figures, figures
-from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING, make_method
+from imgu_ros.bench.lineup import DETECTION, METHODS, ORB, SIFT, TRACKING, check_method, make_method
 from imgu_ros.bench.measuring import Measured, measure
 from imgu_ros.bench.memory import PeakMemory, peak_memory, resident_mb
 from imgu_ros.errors import ParameterError
@@ -54,6 +54,7 @@ class Options:
     frames : of every sequence, and as many single frames
     seeds : one run for each: pictures, paths and noise differ
     conditions : rows of the robustness table
+    methods : who is measured, of those that a suite compares
     sift_every : SIFT sees every n-th frame of a sequence only: it takes most of the time
     negatives : frames without a target
     photographs : what those frames show, (H, W, 3) uint8 RGB
@@ -65,6 +66,7 @@ class Options:
     frames: int = LAP_FRAMES
     seeds: tuple[int, ...] = (0,)
     conditions: tuple[Condition, ...] = CONDITIONS
+    methods: tuple[str, ...] = tuple(METHODS)
     sift_every: int = 4
     negatives: int = 500
     photographs: tuple[Image, ...] = ()
@@ -111,8 +113,10 @@ def check_options(options: Options) -> None:
     ):
         if count < 1:
             raise ParameterError(f"{name}: {count}; need at least 1")
-    if not options.sizes or not options.seeds or not options.conditions:
-        raise ParameterError("sizes, seeds, conditions: one is empty; need at least one of each")
+    for name in options.methods:
+        check_method(name)
+    if not (options.sizes and options.seeds and options.conditions and options.methods):
+        raise ParameterError("sizes, seeds, conditions, methods: one is empty; need at least one of each")
     if min(options.seeds) < 0:
         raise ParameterError(f"seed: {min(options.seeds)}; need 0 or more")
 
@@ -120,8 +124,8 @@ def check_options(options: Options) -> None:
 def _table(options: Options) -> Iterator[Row]:
     for size in options.sizes:
         yield from _run(PLAIN, size, False, (TRACKING, DETECTION, ORB, SIFT), options)
-        for method in (TRACKING, DETECTION, ORB, SIFT):
-            yield peak_memory(method, *size)
+        for name in options.methods:
+            yield peak_memory(name, *size)
 
 
 def _tracking(options: Options) -> Iterator[Row]:
@@ -139,6 +143,9 @@ def _detection(options: Options) -> Iterator[Row]:
 def _run(
     condition: Condition, size: tuple[int, int], unrelated: bool, names: Sequence[str], options: Options
 ) -> Iterator[Figures]:
+    names = [name for name in names if name in options.methods]
+    if not names:
+        return
     runs: list[Measured] = []
     # Of single frames none leads to another: SIFT's share is to be of all of them.
     every = {} if unrelated else {SIFT: options.sift_every}
@@ -154,14 +161,15 @@ def _run(
 def _negatives(options: Options) -> Iterator[Row]:
     # Without photographs of the user's, textures that are none of the targets: much of nature's statistics.
     photographs = options.photographs or tuple(procedural_texture(800, 600, 4000 + i) for i in range(8))
-    for size in options.sizes:
+    names = [name for name in (TRACKING, DETECTION, ORB) if name in options.methods]
+    for size in options.sizes if names else ():
         runs = []
         for seed in options.seeds:
             targets = known_targets(Trial(PLAIN, seed=seed))
-            methods = [make_method(name, targets, options.parameters) for name in (TRACKING, DETECTION, ORB)]
+            methods = [make_method(name, targets, options.parameters) for name in names]
             frames = absent_frames(photographs, targets[0].pixels, size, options.negatives, seed)
             runs.append(measure(methods, _batches(frames), targets))
-        for name in (TRACKING, DETECTION, ORB):
+        for name in names:
             yield figures("photographs" if options.photographs else "textures", ABSENT, _text(size), name, runs)
 
 
@@ -178,7 +186,11 @@ def _targets(options: Options) -> Iterator[Row]:
             targets = [*rest[: known - IN_VIEW], *in_view]
             order = np.random.default_rng(known).permutation(known)
             targets = [targets[i] for i in order]
-            names = (TRACKING, DETECTION, ORB) if known == IN_VIEW else (TRACKING, DETECTION)
+            # A recipe with a hundred targets takes a hundred times the matching: nobody waits for that.
+            names = [TRACKING, DETECTION, *([ORB] if known == IN_VIEW else [])]
+            names = [name for name in names if name in options.methods]
+            if not names:
+                return
             methods = [make_method(name, targets, options.parameters) for name in names]
             simulation = Simulation(*size, options.frames, 30.0, options.seeds[0])
             measured = measure(methods, _batches(simulate_sequence(simulation, in_view)), targets)

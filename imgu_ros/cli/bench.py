@@ -48,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seeds", type=_seeds, default=(0,), metavar="N[,N...]", help="one run for each (default 0)")
     add("--conditions", type=_words, default=(), metavar="NAME[,NAME...]",
         help="rows of tracking and detection (default: all)")
+    add("--methods", type=_words, default=(), metavar="NAME[,NAME...]",
+        help="of tracking, detection, ORB, SIFT (default: all that the suite compares)")
     add("--sift-every", type=int, default=4, metavar="N",
         help="show SIFT every n-th frame of a sequence only, for it takes most of the time (default 4)")
     add("--negatives", type=int, default=500, metavar="N", help="frames without a target (default 500)")
@@ -92,6 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _options(arguments: argparse.Namespace) -> Options:
     parameters = parameters_of(arguments)
+    from imgu_ros.bench.lineup import METHODS
     from imgu_ros.bench.suites import Options
     from imgu_ros.simulate.conditions import CONDITIONS, condition_named
 
@@ -101,6 +104,7 @@ def _options(arguments: argparse.Namespace) -> Options:
         frames=arguments.frames,
         seeds=arguments.seeds,
         conditions=conditions,
+        methods=arguments.methods or tuple(METHODS),
         sift_every=arguments.sift_every,
         negatives=arguments.negatives,
         photographs=_photographs(arguments.photographs) if arguments.photographs else (),

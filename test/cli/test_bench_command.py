@@ -56,6 +56,7 @@ def test_photographs_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[s
         (["--sizes", "641x480"], 1, "need even numbers"),
         (["--frames", "0"], 1, "frames: 0"),
         (["--conditions", "blur"], 1, "nearest known: blur-"),
+        (["--methods", "surf"], 1, "need one of tracking"),
         (["-p", "no.such:=1"], 1, "unknown parameter"),
     ],
 )
