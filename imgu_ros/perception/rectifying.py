@@ -6,18 +6,21 @@ import math
 
 import numpy as np
 
-from imgu_ros.types import Image, Matrix3, Points
+from imgu_ros.types import Floats, Image, Indices, Matrix3
 from imgu_ros.vision.camera.distortion import fold_radius
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.processing.interpolation import MOST_SIDE_PX, Interpolation, resized
 from imgu_ros.vision.processing.remapping import remapped
 
-#: Looked-up points at a time: bounds the memory, some 100 bytes each.
-_STRIP = 2**19
+#: Looked-up points at a time: bounds the memory, some 50 bytes each.
+_STRIP = 2**20
 #: Most points looked up for a pixel, along each side.
 _MOST_SAMPLES = 16
 #: Stands for places outside the picture: no interpolation reaches back into it.
 _OUTSIDE_PX = -100.0
+#: Every so many points one is mapped exactly, and the others by interpolation, if that is as precise as this.
+_KNOT_EVERY = 16
+_PRECISION_PX = 0.01
 #: Farther out, a lens model's powers would overflow.
 _FAR_PX = 1e9
 
@@ -59,11 +62,53 @@ def rectified(
     return out
 
 
-def _places(x: Points, y: Points, H: Matrix3, camera: Camera | None, scene: Image) -> Points:
+def _places(x: Floats, y: Floats, H: Matrix3, camera: Camera | None, scene: Image) -> Floats:
     """Return where the template's points (x[i], y[j]) lie in the raw frame, (len(y), len(x), 2) px."""
+    places = _interpolated_places(x, y, H, camera)
+    if places is None:
+        places = np.nan_to_num(_exact_places(x, y, H, camera), nan=_OUTSIDE_PX)
+    for axis, side in ((0, scene.shape[1]), (1, scene.shape[0])):
+        np.clip(places[..., axis], _OUTSIDE_PX, min(side - _OUTSIDE_PX, MOST_SIDE_PX), out=places[..., axis])
+    return places
+
+
+def _interpolated_places(x: Floats, y: Floats, H: Matrix3, camera: Camera | None) -> Floats | None:
+    """Return the places by interpolation between exact ones; None when that is not precise enough."""
+    knots_x, knots_y = _knots(len(x)), _knots(len(y))
+    coarse = _exact_places(x[knots_x], y[knots_y], H, camera)
+    if not np.isfinite(coarse).all():
+        return None
+    between = _exact_places(_middles(x[knots_x]), _middles(y[knots_y]), H, camera)
+    means = (coarse[:-1, :-1] + coarse[:-1, 1:] + coarse[1:, :-1] + coarse[1:, 1:]) / 4
+    if not np.abs(between - means).max(initial=0.0) <= _PRECISION_PX:
+        return None
+    return _between(_between(coarse.astype(np.float32), knots_x, 1), knots_y, 0)
+
+
+def _knots(count: int) -> Indices:
+    return np.unique(np.append(np.arange(0, count, _KNOT_EVERY), count - 1))
+
+
+def _middles(knots: Floats) -> Floats:
+    return (knots[:-1] + knots[1:]) / 2
+
+
+def _between(values: Image, knots: Indices, axis: int) -> Image:
+    """Interpolate linearly along an axis, from the knots to every index."""
+    every = np.arange(knots[-1] + 1)
+    left = np.minimum(every // _KNOT_EVERY, max(len(knots) - 2, 0))
+    right = np.minimum(left + 1, len(knots) - 1)
+    share = (every - knots[left]) / np.maximum(knots[right] - knots[left], 1)
+    share = np.expand_dims(share.astype(np.float32), tuple(a for a in range(3) if a != axis))
+    first = np.take(values, left, axis)
+    return np.asarray(first + share * (np.take(values, right, axis) - first))
+
+
+def _exact_places(x: Floats, y: Floats, H: Matrix3, camera: Camera | None) -> Floats:
+    """Return the places point by point; NaN behind the camera and beyond the range of the lens model."""
     grid = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1).reshape(-1, 3)
     mapped = grid @ H.T
-    visible = mapped[:, 2] > 0  # else behind the camera
+    visible = mapped[:, 2] > 0
     with np.errstate(over="ignore"):
         ideal = np.clip(mapped[visible, :2] / mapped[visible, 2:], -_FAR_PX, _FAR_PX)
     raw = ideal
@@ -71,11 +116,10 @@ def _places(x: Points, y: Points, H: Matrix3, camera: Camera | None, scene: Imag
         normalized = np.linalg.solve(camera.K[:2, :2], (ideal - camera.K[:2, 2]).T).T
         # Beyond its range a lens model folds what lies outside back into the picture.
         inside = np.hypot(normalized[:, 0], normalized[:, 1]) < fold_radius(camera.model, camera.distortion)
-        raw = np.full_like(ideal, _OUTSIDE_PX)
+        raw = np.full_like(ideal, np.nan)
         raw[inside] = camera.distort(normalized[inside])
-    places = np.full((len(grid), 2), _OUTSIDE_PX)
-    farthest = np.array(scene.shape[1::-1]) - 1 - _OUTSIDE_PX
-    places[visible] = np.clip(raw, _OUTSIDE_PX, np.minimum(farthest, MOST_SIDE_PX))
+    places = np.full((len(grid), 2), np.nan)
+    places[visible] = raw
     return places.reshape(len(y), len(x), 2)
 
 

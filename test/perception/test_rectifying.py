@@ -89,3 +89,22 @@ def test_beyond_the_range_of_the_lens_is_black() -> None:
     row = rectified(scene, np.array([[10, 0, 50], [0, 1, 50], [0, 0, 1.0]]), (20, 1), camera, "nearest")[0]
     # Pixel x looks along r = x / 10; within the picture up to r (1 - r^2 / 2) = 0.5.
     assert (row[:6] == 200).all() and (row[9:] == 0).all()
+
+
+@pytest.mark.parametrize("lens", [None, *LENSES])
+@pytest.mark.parametrize("steepness", [0.0, 2e-3, 2e-2])
+def test_places_are_as_exact_as_their_pixels(lens: str | None, steepness: float) -> None:
+    # Values that are places: 90 x and 90 y, so that a hundredth of a pixel shows.
+    y, x = np.mgrid[0:480, 0:640]
+    camera = camera_with(lens)
+    steep = np.array([[1.5, 0.1, 90], [0.2, 1.4, 60], [steepness, steepness / 2, 1]])
+    u, v = np.mgrid[0:150, 0:200][::-1].reshape(2, -1).astype(float)
+    ideal = np.column_stack((u, v, np.ones_like(u))) @ steep.T
+    raw = ideal[:, :2] / ideal[:, 2:]
+    raw = raw if camera is None else camera.raw_pixels(raw)
+    inside = ((raw >= 1) & (raw <= (638, 478))).all(axis=1)
+    assert inside.mean() > 0.5
+    for values, truth in ((x, raw[:, 0]), (y, raw[:, 1])):
+        got = rectified((90 * values).astype(np.uint16), steep, TEMPLATE, camera, "linear").ravel()
+        # OpenCV 4 looks up at 1/32 px.
+        assert np.abs(got / 90 - truth)[inside].max() < 0.03

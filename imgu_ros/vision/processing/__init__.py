@@ -25,8 +25,8 @@ picture as it was: its precision lives in grey ramps that thresholds and clampin
 the edges there: one bit a pixel leaves descriptors too little, and a simulated target is not found by them.
 `raw.grey_weights` are the weights of the colours in the grey picture.
 
-**On files** `imgu filter` does convolution, smoothing, gradients and edges, Canny's too; `imgu match --warp` draws a found
-target straight on.
+**On files** `imgu filter` does convolution, smoothing, gradients and edges, Canny's too; `imgu warp` resizes, rotates
+and maps; `imgu match --warp` draws a found target straight on.
 
 Sources: notes 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
 """

@@ -51,12 +51,13 @@ def remapped(
     """
     image = as_image(image, channels=(1, 3))
     require_range(image, 4.0)
-    places = as_floats(xy, "xy")
+    # Large maps: no copy of what is fit for OpenCV.
+    places = xy if isinstance(xy, np.ndarray) and xy.dtype == np.float32 else as_floats(xy, "xy")
     if places.ndim != 3 or places.shape[2] != 2 or not places.size:
         raise ShapeError(f"xy: shape {places.shape}; need (h, w, 2) of at least one pixel")
     if max(*image.shape[:2], *places.shape[:2]) > MOST_SIDE_PX:
         raise ShapeError(f"image: shape {image.shape}, xy: shape {places.shape}; need sides up to {MOST_SIDE_PX} px")
-    if not np.abs(places).max() <= MOST_SIDE_PX:
+    if not (places.min() >= -MOST_SIDE_PX and places.max() <= MOST_SIDE_PX):
         raise ShapeError(f"xy: not finite, or beyond {MOST_SIDE_PX} px; need places nearer to the image")
     interpolation, border = Interpolation(interpolation), Border(border)
     if interpolation is Interpolation.AREA:
