@@ -76,6 +76,8 @@ def search(
         with clock.measures(Stage.REFINE):
             if parameters.refinement.enabled:
                 located = _aligned(target, searched, located, lens, parameters)
+            # Where little of a target is in view, only the refined homography is good enough to tell.
+            require_plausible(target, located.homography)
             require_confirmed(searched.pictures, target, located.homography.H, lens)
     except DegenerateConfiguration as error:
         return replace(missing, status=Status.DEGENERATE, reason=str(error))
@@ -129,7 +131,6 @@ def _located(
         error=p.error,
         refine=None if p.refine == "none" else p.refine,
     )
-    require_plausible(target, estimate)
     inliers = np.zeros(len(usable), bool)
     inliers[np.flatnonzero(usable)[estimate.inliers]] = True
     return Located(matches.template_xy[inliers], matches.image_xy[inliers], estimate), inliers
