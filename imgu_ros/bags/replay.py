@@ -184,7 +184,7 @@ class _Run:
         start = time.monotonic()
         with ExitStack() as stack:
             stack.enter_context(quick_thread_switches())
-            files = stack.enter_context(ResultFiles(self.out, self.parameters, names, self.record))
+            files = stack.enter_context(ResultFiles(self.out, self.parameters, names, self.record, self.total))
             behind = stack.enter_context(Background(files.write))
             for read in frames:
                 result = (

@@ -35,14 +35,17 @@ class ResultFiles:
     parameters : of the replay
     targets : names
     record : outputs to record beside those that always are
+    expected : number of frames, as far as it is known
 
     Attributes
     ----------
     samples : some of the frames, drawn
     """
 
-    def __init__(self, out: Path, parameters: Parameters, targets: Sequence[str], record: Sequence[str]) -> None:
-        self.samples = Samples()
+    def __init__(
+        self, out: Path, parameters: Parameters, targets: Sequence[str], record: Sequence[str], expected: int = 0
+    ) -> None:
+        self.samples = Samples(expected)
         self._frames = 0
         with ExitStack() as stack:
             self._rows = stack.enter_context(FramesWriter(out / "frames.csv"))

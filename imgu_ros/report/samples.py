@@ -40,11 +40,16 @@ class Samples:
     """Collects samples while frames pass by: about six, evenly spread, and three in which nothing was found any more.
 
     Every `stride`-th frame is kept; when twice as many as wanted are held, every other one is dropped and the stride
-    doubles. So n frames cost O(log n) drawings, and which ones are kept depends on nothing but n.
+    doubles. So n frames cost O(log n) drawings, and six when their number was known.
+
+    Parameters
+    ----------
+    expected : number of frames that will be offered, as far as that is known; which ones are kept depends on nothing
+        but this and how many there are
     """
 
-    def __init__(self) -> None:
-        self._stride = 1
+    def __init__(self, expected: int = 0) -> None:
+        self._stride = max(1, (expected - 1) // (_KEPT - 1))
         self._even: list[Sample] = []
         self._misses: list[Sample] = []
         self._is_missing = False

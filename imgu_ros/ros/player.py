@@ -18,13 +18,13 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
+from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.reading import Bag, open_bag
 from imgu_ros.bags.storage import RawMessage
 from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.play_report import PlayReport, Span
-from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
 from imgu_ros.ros.stopping import Stopped, StopSignal

@@ -16,6 +16,7 @@ from imgu_ros.perception.result import PoseStatus, Result, Status
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.html import figures, write_report
 from imgu_ros.report.plots import plot_errors, plot_precision, plot_status, plot_times, plot_trajectory
+from imgu_ros.report import samples as samples_module
 from imgu_ros.report.samples import Samples
 from imgu_ros.report.summary import (
     Percentiles,
@@ -134,6 +135,22 @@ def test_samples_are_few_even_and_keep_the_first_misses(make_result: MakeResult)
     assert even[-1] > 750
     picture = cv2.imdecode(np.frombuffer(samples.chosen()[0].jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize(("expected", "count"), [(3000, 3000), (3000, 100), (3000, 7000), (11, 11), (6, 6), (1, 1)])
+def test_a_known_number_of_frames_needs_few_drawings(
+    make_result: MakeResult, monkeypatch: pytest.MonkeyPatch, expected: int, count: int
+) -> None:
+    drawn: list[int] = []
+    monkeypatch.setattr(samples_module, "_jpeg", lambda picture: drawn.append(1) or b"")
+    samples, result = Samples(expected), make_result(0)
+    for index in range(count):
+        samples.offer(index, result)
+    chosen = [sample.index for sample in samples.chosen()]
+    assert chosen[0] == 0 and len(drawn) <= 15
+    if expected == count:
+        assert len(chosen) == min(6, count) and chosen[-1] >= 0.8 * (count - 1)
+        assert len(drawn) <= 11
 
 
 def test_large_samples_are_reduced(make_result: MakeResult) -> None:
