@@ -192,8 +192,9 @@ def _targets(options: Options) -> Iterator[Row]:
             if not names:
                 return
             methods = [make_method(name, targets, options.parameters) for name in names]
-            simulation = Simulation(*size, options.frames, 30.0, options.seeds[0])
-            measured = measure(methods, _batches(simulate_sequence(simulation, in_view)), targets)
+            simulation = Simulation(*size, max(options.frames, LAP_FRAMES), 30.0, options.seeds[0])
+            frames = islice(simulate_sequence(simulation, in_view), options.frames)
+            measured = measure(methods, _batches(frames), targets)
             for name in names:
                 yield figures(f"known-{known}", SEQUENCE, _text(size), name, [measured])
 

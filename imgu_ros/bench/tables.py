@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from imgu_ros.bench.figures import Figures
 from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING
@@ -12,7 +13,7 @@ from imgu_ros.simulate.conditions import PLAIN
 
 _NAMES = {TRACKING: "ours, tracking", DETECTION: "ours, detecting", ORB: "ORB recipe", SIFT: "SIFT recipe"}
 _HEAD = (
-    "method", "ms", "p95 ms", "ORB / it", "SIFT / it", "corner p50 px", "p95 px", "found", "<= 1 px", "false",
+    "method", "ms", "p95 ms", "cpu ms", "ORB / it", "SIFT / it", "corner p50 px", "p95 px", "found", "<= 1 px", "false",
     "rotation deg", "position %", "NEES p50",
 )  # fmt: skip
 
@@ -27,8 +28,8 @@ def tables(rows: Sequence[Row], markdown: bool = False) -> str:
     """
     parts = []
     measured = [row for row in rows if isinstance(row, Figures)]
-    for title, group in _groups(measured):
-        parts.append(_titled(title, _table([_HEAD_OF_CONDITIONS, *_lines(group)], markdown), markdown))
+    for group in _groups(measured):
+        parts.append(_titled(group.title, _table([(group.first, *_HEAD), *_lines(group)], markdown), markdown))
     stages = [row for row in measured if row.condition == PLAIN.name and row.stages_ms]
     if stages:
         parts.append(
@@ -50,25 +51,39 @@ def tables(rows: Sequence[Row], markdown: bool = False) -> str:
     return "\n\n".join(parts)
 
 
-_HEAD_OF_CONDITIONS = ("condition", *_HEAD)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """One table: its title, the head of its first column, and the rows with what stands there."""
+
+    title: str
+    first: str
+    rows: list[tuple[str, Figures]]
 
 
-def _groups(rows: Sequence[Figures]) -> list[tuple[str, list[Figures]]]:
-    """Return the rows of each table, with its title."""
-    groups: dict[tuple[str, str], list[Figures]] = {}
-    for row in rows:
-        groups.setdefault((row.kind, row.size), []).append(row)
+def _groups(rows: Sequence[Figures]) -> list[_Group]:
+    """Return the rows of each table: one table for all sizes under one condition, else one for each size."""
     words = {SEQUENCE: "smooth sequences", ABSENT: "frames without a target"}
-    return [(f"{size}, {words.get(kind, 'single, unrelated frames')}", group) for (kind, size), group in groups.items()]
+    groups = []
+    for kind in dict.fromkeys(row.kind for row in rows):
+        of_kind = [row for row in rows if row.kind == kind]
+        name = words.get(kind, "single, unrelated frames")
+        conditions = list(dict.fromkeys(row.condition for row in of_kind))
+        if len(conditions) == 1:
+            groups.append(_Group(f"{name}, {conditions[0]}", "size", [(row.size, row) for row in of_kind]))
+            continue
+        for size in dict.fromkeys(row.size for row in of_kind):
+            chosen = [(row.condition, row) for row in of_kind if row.size == size]
+            groups.append(_Group(f"{name}, {size}", "condition", chosen))
+    return groups
 
 
-def _lines(group: Sequence[Figures]) -> list[tuple[str, ...]]:
+def _lines(group: _Group) -> list[tuple[str, ...]]:
     lines: list[tuple[str, ...]] = []
     previous = ""
-    for row in group:
-        beside = {r.method: r for r in group if r.condition == row.condition}
-        lines.append((row.condition if row.condition != previous else "", *_cells(row, beside)))
-        previous = row.condition
+    for label, row in group.rows:
+        beside = {r.method: r for other, r in group.rows if other == label}
+        lines.append((label if label != previous else "", *_cells(row, beside)))
+        previous = label
     return lines
 
 
@@ -77,6 +92,7 @@ def _cells(row: Figures, beside: dict[str, Figures]) -> tuple[str, ...]:
         _NAMES.get(row.method, row.method),
         _number(row.median_ms, 1),
         _number(row.p95_ms, 1),
+        _number(row.cpu_ms, 1),
         _quotient(beside.get(ORB), row),
         _quotient(beside.get(SIFT), row),
         _number(row.corner_p50_px, 3),

@@ -85,7 +85,9 @@ def test_tables_show_figures_and_quotients() -> None:
     rows = [row("tracking", 2.0, 0.1), row("ORB", 10.0, 1.0), row("SIFT", 100.0, None), Growth("640x480", 5, 1.0, 2.5)]
     plain = tables(rows)
     ours = next(line for line in plain.splitlines() if "ours, tracking" in line)
-    assert ours.split() == ("plain ours, tracking 2.0 4.0 5.0x 10x px 50.0x 0.100 0.100 50.0% 25.0% 3 - - -".split())
+    assert ours.split() == (
+        "640x480 ours, tracking 2.0 4.0 2.0 5.0x 10x px 50.0x 0.100 0.100 50.0% 25.0% 3 - - -".split()
+    )
     assert "refine" in plain and "1.50" in plain and "+1.5" in plain
     for line in tables(rows, markdown=True).splitlines():
         assert not line or not line.startswith("|") or line.endswith("|")
