@@ -294,8 +294,8 @@ class SearchParameters:
 @dataclass(frozen=True, slots=True)
 class RefinementParameters:
     enabled: bool = parameter(True, "Align patches of the target with the full-resolution image after detection.")
-    max_points: int = parameter(250, "Most patches aligned for each target.", minimum=16, maximum=5000)
-    window_px: int = parameter(15, "Side of an aligned patch.", unit="px", minimum=7, maximum=63)
+    max_points: int = parameter(200, "Most patches aligned for each target.", minimum=16, maximum=5000)
+    window_px: int = parameter(11, "Side of an aligned patch.", unit="px", minimum=7, maximum=63)
 
 
 @dataclass(frozen=True, slots=True)

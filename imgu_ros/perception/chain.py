@@ -80,7 +80,7 @@ class Chain:
     def _worked(
         self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
     ) -> Result:
-        pictures = Pictures(developed.grey)
+        pictures = Pictures(developed)
         results: list[TargetResult | None] = [
             self._followed(index, frame, pictures, clock) for index in range(len(self._targets))
         ]

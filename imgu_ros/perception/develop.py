@@ -14,6 +14,7 @@ from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
+from imgu_ros.vision.matching.sheet import Sheet
 from imgu_ros.vision.processing.points import REC601, grey_from_rgb
 
 _TO_RGB = {
@@ -48,20 +49,67 @@ _CHANNELS = {
 
 
 class Developed:
-    """A frame's pictures.
-
-    Attributes
-    ----------
-    grey : (H, W) uint8, full resolution
-    """
+    """A frame's pictures, each made when it is first asked for."""
 
     def __init__(self, image: RawImage, raw: RawParameters, method: DemosaicMethod) -> None:
         self._layout = image.layout
         self._pixels = _checked_pixels(image)
         self._raw = raw
         self._method = method
+        self._grey: Image | None = None
         self._color: Image | None = None
-        self.grey: Image = self._developed_grey()
+        white = self._white_level()
+        if white is not None and white <= raw.black_level:
+            raise ShapeError(f"raw.black_level: {raw.black_level:g}; need less than the white level, {white:g}")
+        #: Whether any part of the grey picture can be made without the rest of the frame.
+        self._local = white is not None and (
+            image.layout.color is ColorModel.MONO
+            or (
+                image.layout.color is ColorModel.BAYER
+                and method is DemosaicMethod.BILINEAR
+                and raw.grey_weights == REC601
+                and all(gain == 1.0 for gain in raw.gains)
+            )
+        )
+        if image.layout.color is ColorModel.BANDS:
+            self._grey = self._developed_grey()  # which bands there are is told by the pixels: what is wrong, at once
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, px."""
+        height, width = self._pixels.shape[:2]
+        return height, width
+
+    @property
+    def grey(self) -> Image:
+        """The grey picture at full resolution, (H, W) uint8."""
+        if self._grey is None:
+            self._grey = self._developed_grey()
+        return self._grey
+
+    def halved(self) -> Image:
+        """Return the grey picture of half the size, (H // 2, W // 2) uint8: each pixel the mean of four.
+
+        Of a mosaic they are the four of a quad, weighed as they are: green counts a half.
+        """
+        if self._grey is None and self._local:
+            source, finish = self._pixels, True
+        else:
+            source, finish = self.grey, False
+        height, width = self.shape[0] // 2, self.shape[1] // 2
+        small = cv2.resize(source[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        return stretched_to_8_bit(small, self._raw.black_level, self._white_level()) if finish else small
+
+    def cut(self, sheet: Sheet) -> Image:
+        """Return squares of the grey picture as a sheet; those of a mosaic must begin at even pixels."""
+        if self._grey is not None or not self._local:
+            return sheet.cut(self.grey)
+        squares = sheet.cut(self._pixels)
+        if self._layout.color is ColorModel.BAYER and self._layout.pattern is not None:
+            if sheet.side % 2 or (sheet.origins % 2).any():
+                raise ShapeError("sheet: squares at odd pixels; need even ones, where a quad begins")
+            squares = grey_from_mosaic(squares, self._layout.pattern, exact_border=False)
+        return stretched_to_8_bit(squares, self._raw.black_level, self._white_level())
 
     def color(self) -> Image:
         """Return the colour picture, (H, W, 3) RGB, uint8 or uint16; made on the first call, then kept.
@@ -75,8 +123,6 @@ class Developed:
     def _developed_grey(self) -> Image:
         pixels, layout = self._pixels, self._layout
         black, white = self._raw.black_level, self._white_level()
-        if white is not None and white <= black:
-            raise ShapeError(f"raw.black_level: {black:g}; need less than the white level, {white:g}")
         if layout.color is ColorModel.BAYER and layout.pattern is not None:
             balanced = pixels
             if any(gain != 1.0 for gain in self._raw.gains):
@@ -147,7 +193,7 @@ class Developed:
 
 
 def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameters) -> Developed:
-    """Make the grey picture of a raw image; colour follows on demand.
+    """Check a raw image; its grey picture and its colours are made on demand.
 
     8-bit input keeps its values unless black or white level are set. Deeper input is brought to 8 bits between
     black and white level where they are known, else between percentiles of this frame, which also is the

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.errors import NoConsensus, ParameterError
+from imgu_ros.errors import NoConsensus
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Floats, Indices, Matrix3, Points
@@ -15,6 +15,7 @@ from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.matching.alignment import LocalBend, PatchBank
+from imgu_ros.vision.matching.sheet import Sheet
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion
 from imgu_ros.vision.projective.transform import local_jacobian
 
@@ -22,6 +23,15 @@ from imgu_ros.vision.projective.transform import local_jacobian
 _MIN_SIMILARITY = 0.5
 _FARTHEST_SHARE = 0.5
 _FEWEST_AT_FIRST = 6
+#: Patches of the first rounds, and by how little they move when the others join, px of the picture.
+_SCOUTS = 60
+_SCOUTED_PX = 0.6
+#: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
+_SHEET_ROOM_PX = 6
+#: A sheet larger than this share of the frame saves nothing.
+_SHEET_SHARE = 0.4
+#: By how much a lens may enlarge patches.
+_MOST_STRETCHED = 1.3
 #: Fewer patches are told an affine motion: two numbers less to be wrong.
 _ENOUGH_FOR_PROJECTIVE = 40
 
@@ -87,33 +97,40 @@ def follow_patches(
     NoConsensus
         If too few patches are in view, are found or agree.
     """
-    picture = pictures.halved(halvings)
     reduced = _Reduction(0.5**halvings)
     bank = _fitting_bank(target, H, reduced.scale, effort.window_px)
     picture_from_bank = reduced.matrix @ H @ bank.template_from_bank
-    chosen = _in_view(bank.patches, picture_from_bank, picture.shape, reduced, camera, effort)
-    centres = bank.patches.centres[chosen]
+    shape = (pictures.shape[0] >> halvings, pictures.shape[1] >> halvings)
+    chosen = _in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort)
+    patches = bank.patches.select(chosen)
+    centres = patches.centres
     motions = PlaneMotion(centres, affine=len(chosen) < _ENOUGH_FOR_PROJECTIVE)
+    sheet = None
+    if halvings == 0:
+        sheet = _sheet(picture_from_bank, centres, shape, reduced, camera, effort.window_px)
+    picture = pictures.halved(halvings) if sheet is None else pictures.cut(sheet)
     farthest = _FARTHEST_SHARE * effort.window_px
     motion: Motion | None = None
+    # The first rounds are a scout's: some patches tell where the others are.
+    count = _SCOUTS if len(chosen) > 2 * _SCOUTS else len(chosen)
     for _ in range(effort.steps):
-        lens = None if camera is None else reduced.bend(camera, picture_from_bank, centres)
-        samples = bank.patches.sampled(picture, picture_from_bank, chosen, lens)
-        seen = bank.patches.displacements(samples, chosen)
+        lens = None if camera is None else reduced.bend(camera, picture_from_bank, centres[:count])
+        seen = patches.displacements(patches.sampled(picture, picture_from_bank, lens, sheet, count))
         usable = (seen.similarity > _MIN_SIMILARITY) & (np.abs(seen.xy).max(axis=1) < farthest)
         # From a poor start few look alike, near the middle; they bring the others near.
         if np.count_nonzero(usable) < _FEWEST_AT_FIRST:
-            raise NoConsensus(
-                f"patches: {np.count_nonzero(usable)} of {len(chosen)} look alike; need {_FEWEST_AT_FIRST}"
-            )
+            raise NoConsensus(f"patches: {np.count_nonzero(usable)} of {count} look alike; need {_FEWEST_AT_FIRST}")
         motion = motions.fit(seen.xy, usable, before=motion)
         # The picture at W(c - d) shows c: W is followed by the inverse of the motion by d.
         before = picture_from_bank
         picture_from_bank = before @ np.linalg.inv(motion.matrix)
-        if motion.largest_px < effort.enough_px:
+        if count < len(chosen):
+            if motion.largest_px < _SCOUTED_PX:
+                count = len(chosen)
+        elif motion.largest_px < effort.enough_px:
             break
-    if motion is None:
-        raise ParameterError(f"effort: {effort.steps} steps; need at least 1")
+    if motion is None or len(motion.agreeing) < len(chosen):
+        raise NoConsensus(f"patches: they still move after {effort.steps} steps; need a better start")
     agreeing = motion.agreeing
     if np.count_nonzero(agreeing) < effort.fewest:
         raise NoConsensus(f"patches: {np.count_nonzero(agreeing)} of {len(chosen)} agree; need {effort.fewest}")
@@ -187,10 +204,33 @@ def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> _
     return _Bank(best.patches(window_px), best.level.step)
 
 
+def _sheet(
+    picture_from_bank: Matrix3,
+    centres: Points,
+    shape: tuple[int, int],
+    reduced: _Reduction,
+    camera: Camera | None,
+    window_px: int,
+) -> Sheet | None:
+    """Return the squares of the picture that hold the patches; None when that saves little."""
+    height, width = shape
+    by_centre = np.abs(local_jacobian(picture_from_bank, centres)).sum(axis=2).max()
+    stretch = 1.0 if camera is None else _MOST_STRETCHED
+    side = 2 * math.ceil(float(by_centre) * stretch * (window_px // 2) + _SHEET_ROOM_PX)
+    if len(centres) * side**2 > _SHEET_SHARE * height * width or side > min(shape) - 2:
+        return None
+    at = _mapped(picture_from_bank, centres)
+    if camera is not None:
+        at = reduced.bent(camera, at)
+    # Even pixels: there a quad of the mosaic begins.
+    origin = (np.rint(at).astype(np.intp) - side // 2) // 2 * 2
+    return Sheet(np.clip(origin, 0, [(width - side) // 2 * 2, (height - side) // 2 * 2]), side)
+
+
 def _in_view(
     patches: PatchBank,
     picture_from_bank: Matrix3,
-    shape: tuple[int, ...],
+    shape: tuple[int, int],
     reduced: _Reduction,
     camera: Camera | None,
     effort: Effort,
@@ -205,7 +245,7 @@ def _in_view(
         ahead, xy = ahead[near], xy[near]
         if len(xy):
             xy = reduced.bent(camera, xy)
-    margin = effort.window_px // 2
+    margin = effort.window_px // 2 + 2
     inside = (xy >= margin).all(axis=1) & (xy < np.array((shape[1], shape[0])) - margin).all(axis=1)
     # The centres come best spread first: so do those in view.
     chosen = ahead[inside][: effort.most]

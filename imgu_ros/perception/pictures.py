@@ -1,10 +1,12 @@
-"""A frame's grey picture at full resolution and halved, as often as somebody asks for."""
+"""A frame's grey picture at full resolution and halved, as far as somebody asks for it."""
 
 from __future__ import annotations
 
 import cv2
 
+from imgu_ros.perception.develop import Developed
 from imgu_ros.types import Image
+from imgu_ros.vision.matching.sheet import Sheet
 
 _SMALLEST_SIDE_PX = 8
 
@@ -14,17 +16,17 @@ class Pictures:
 
     Parameters
     ----------
-    grey : (H, W) uint8, full resolution
+    developed : the frame
     """
 
-    def __init__(self, grey: Image) -> None:
-        self._levels = [grey]
+    def __init__(self, developed: Developed) -> None:
+        self._developed = developed
+        self._halved: list[Image] = []
 
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width at full resolution, px."""
-        height, width = self._levels[0].shape
-        return height, width
+        return self._developed.shape
 
     @property
     def most_halvings(self) -> int:
@@ -33,10 +35,18 @@ class Pictures:
 
     def halved(self, times: int) -> Image:
         """Return the picture halved `times` times: each pixel is the mean of 2^times x 2^times, whole ones only."""
-        while len(self._levels) <= times:
-            last = self._levels[-1]
+        if times == 0:
+            return self._developed.grey
+        if not self._halved:
+            self._halved.append(self._developed.halved())
+        while len(self._halved) < times:
+            last = self._halved[-1]
             height, width = last.shape[0] // 2, last.shape[1] // 2
-            self._levels.append(
+            self._halved.append(
                 cv2.resize(last[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
             )
-        return self._levels[times]
+        return self._halved[times - 1]
+
+    def cut(self, sheet: Sheet) -> Image:
+        """Return squares of the picture at full resolution as a sheet; they must begin at even pixels."""
+        return self._developed.cut(sheet)

@@ -28,7 +28,7 @@ _COARSEST_RESULT = 2
 _COARSE_PATCHES = 80
 _COARSE_STEPS = 8
 _COARSE_ENOUGH_PX = 0.2
-_FINE_STEPS = 4
+_FINE_STEPS = 6
 _FINE_ENOUGH_PX = 0.15
 #: Distance, in robust standard deviations, beyond which a patch is not even tried in the final fit.
 _CONSENSUS_SIGMAS = 5.0

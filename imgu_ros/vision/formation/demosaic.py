@@ -60,13 +60,14 @@ def demosaic(raw: Image, pattern: BayerPattern, method: DemosaicMethod | str = D
     return _METHODS[DemosaicMethod(method)](raw, pattern)
 
 
-def grey_from_mosaic(raw: Image, pattern: BayerPattern) -> Image:
+def grey_from_mosaic(raw: Image, pattern: BayerPattern, exact_border: bool = True) -> Image:
     """Reconstruct luma (0.299 R + 0.587 G + 0.114 B) by bilinear interpolation, without a colour picture between.
 
     Parameters
     ----------
     raw : (H, W) uint8 or uint16, H and W at least 2
     pattern : colours of the top-left quad
+    exact_border : interpolate the outermost two pixels too; else the outermost one repeats its neighbour
 
     Returns
     -------
@@ -87,7 +88,8 @@ def grey_from_mosaic(raw: Image, pattern: BayerPattern) -> Image:
     raw, pattern = as_mosaic(raw), BayerPattern(pattern)
     if min(raw.shape) < 3:
         return cv2.cvtColor(demosaic_bilinear(raw, pattern), cv2.COLOR_RGB2GRAY)
-    return _repaired_border(cv2.cvtColor(raw, _GREY[pattern]), raw, pattern)
+    grey = cv2.cvtColor(raw, _GREY[pattern])
+    return _repaired_border(grey, raw, pattern) if exact_border else grey
 
 
 def _repaired_border(grey: Image, raw: Image, pattern: BayerPattern) -> Image:

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_matrix, as_points
+from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_points
+from imgu_ros.vision.matching.sheet import Sheet
 
 #: Smallest eigenvalue of a patch's normal matrix, scaled to a unit diagonal: below, it is flat or one straight edge.
 _WEAKEST = 1e-3
@@ -87,18 +88,100 @@ class PatchBank:
         self._solvers = np.empty((count, 4, area), np.float32)
         self._contrast = np.zeros(count, np.float32)
         self._ready = np.zeros(count, bool)
+        self._last: Patches | None = None
+
+    def select(self, chosen: Indices) -> Patches:
+        """Return some patches, (N,) their indices, ready for comparison; the same ones again cost nothing."""
+        if self._last is None or not np.array_equal(self._last.chosen, chosen):
+            self._prepare(chosen)
+            self._last = Patches(
+                chosen, self.centres[chosen], self.window_px, self._solvers[chosen], self._contrast[chosen]
+            )
+        return self._last
+
+    def _prepare(self, chosen: Indices) -> None:
+        missing = chosen[~self._ready[chosen]]
+        if not len(missing):
+            return
+        area = self.window_px**2
+        rim = self.window_px // 2 + 1
+        side = self.window_px + 2
+        corner = self.centres[missing].astype(np.intp) - rim
+        views = np.lib.stride_tricks.sliding_window_view(self._image, (side, side))
+        patches = views[corner[:, 1], corner[:, 0]].astype(np.float64)
+        columns = np.stack(
+            (
+                patches[:, 1:-1, 1:-1].reshape(-1, area),
+                ((patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2]) / 2).reshape(-1, area),
+                ((patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1]) / 2).reshape(-1, area),
+            ),
+            axis=2,
+        )
+        # Without their means the columns know nothing of the offset: it need not be solved for.
+        columns -= columns.mean(axis=1, keepdims=True)
+        norms = np.sqrt((columns**2).sum(axis=1))
+        textured = norms[:, 0] > _FLAT * self.window_px
+        safe = np.where(norms > 0, norms, 1.0)
+        unit = columns / safe[:, None, :]
+        normal = unit.transpose(0, 2, 1) @ unit
+        textured &= np.linalg.eigvalsh(normal)[:, 0] > _WEAKEST
+        normal[~textured] = np.eye(3)
+        self._solvers[missing, :3] = np.linalg.solve(normal, unit.transpose(0, 2, 1)) / safe[:, :, None]
+        self._solvers[missing, 3] = 1 / area
+        self._contrast[missing] = np.where(textured, norms[:, 0], 0.0)
+        self._ready[missing] = True
+
+
+class Patches:
+    """Some of a bank's patches; not for several threads at once, as the room for intermediate results is kept.
+
+    Parameters
+    ----------
+    chosen : (N,) their indices
+    centres : (N, 2) px
+    window_px : side of a patch
+    solvers : (N, 4, window_px^2) from samples to gain, gain times displacement (x, y), and mean
+    contrast : (N,) norm of the patch without its mean; 0 where it cannot be compared
+    """
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def __init__(
+        self,
+        chosen: Indices,
+        centres: Points,
+        window_px: int,
+        solvers: NDArray[np.float32],
+        contrast: NDArray[np.float32],
+    ) -> None:
+        self.chosen = chosen
+        self.centres = centres
+        self._area = window_px**2
+        self._solvers = solvers
+        self._contrast = contrast
         offset = np.arange(-(window_px // 2), window_px // 2 + 1, dtype=np.float32)
         self._x, self._y = (np.ascontiguousarray(grid.ravel()) for grid in np.meshgrid(offset, offset))
+        self._places = np.empty((3, len(chosen), self._area), np.float32)
+        self._seen = np.empty((len(chosen), self._area), np.float32)
 
-    def sampled(self, picture: Image, H: ArrayLike, chosen: Indices, bend: LocalBend | None = None) -> Image:
-        """Sample another picture where patches should be in it, bilinearly.
+    def sampled(
+        self,
+        picture: Image,
+        H: Matrix3,
+        bend: LocalBend | None = None,
+        sheet: Sheet | None = None,
+        first: int | None = None,
+    ) -> Image:
+        """Sample another picture where the patches should be in it, bilinearly.
 
         Parameters
         ----------
         picture : (H, W) uint8, uint16 or float32
         H : (3, 3) px of the picture from px of the patches' one
-        chosen : (N,) which patches
-        bend : of the lens about the chosen centres as H maps them; None: none
+        bend : of the lens about the centres as H maps them; None: none
+        sheet : how `picture` was cut to one square for each patch; None: it was not
+        first : only so many patches; None: all
 
         Returns
         -------
@@ -109,85 +192,52 @@ class PatchBank:
         DegenerateConfiguration
             If H maps a centre to infinity.
         """
-        H = as_matrix(H, (3, 3), "H")
-        at = self.centres[chosen] @ H[:, :2].T + H[:, 2]
+        at = self.centres[:first] @ H[:, :2].T + H[:, 2]
         if not len(at):
-            return np.zeros((0, self.window_px**2), picture.dtype)
+            return np.zeros((0, self._area), picture.dtype)
         scale = float(at[:, 2].mean())
         if not scale > 0 or not at[:, 2].min() > 1e-6 * scale:
             raise DegenerateConfiguration("H: a patch would lie behind the camera; need all in front")
-        x, y = self._places(at / scale, H / scale)
-        if bend is not None:
-            x, y = _bent(x, y, bend)
-        np.clip(x, -_FARTHEST, _FARTHEST, out=x)
-        np.clip(y, -_FARTHEST, _FARTHEST, out=y)
-        return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-    def displacements(self, samples: Image, chosen: Indices) -> Displacements:
-        """Compare patches with samples (N, window_px^2) that `sampled` took for the `chosen` ones, (N,)."""
-        area = self.window_px**2
-        if samples.shape != (len(chosen), area):
-            raise ShapeError(f"samples: shape {samples.shape}; need {(len(chosen), area)}")
-        self._prepare(chosen)
-        seen = np.asarray(samples, np.float32)
-        # Sums of squares of numbers about a mean far from 0 would lose digits.
-        seen = seen - seen.mean(axis=1, keepdims=True)
-        gain, _, a_dx, a_dy = (self._solvers[chosen] @ seen[:, :, None])[:, :, 0].T
-        variance = np.einsum("np,np->n", seen, seen)
-        contrast = self._contrast[chosen]
-        usable = (variance > area * _FLAT**2) & (contrast > 0) & (np.abs(gain) * contrast > 1e-3)
-        safe = np.where(usable, gain, 1.0)
-        xy = np.stack((a_dx / safe, a_dy / safe), axis=1).astype(np.float64)
-        similarity = np.where(usable, gain * contrast / np.sqrt(np.where(usable, variance, 1.0)), 0.0)
-        xy[~usable] = 0.0
-        return Displacements(xy, np.clip(similarity, -1.0, 1.0).astype(np.float64))
-
-    def _places(self, at: Floats, H: Matrix3) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return where the patches' pixels come to lie, x and y, (N, window_px^2) each."""
-        single = H.astype(np.float32)
-        start = at.astype(np.float32)[:, :, None]
-        x, y, w = (start[:, row] + (single[row, 0] * self._x + single[row, 1] * self._y)[None] for row in range(3))
+        x, y, w = self._places[:, :first]
+        single = (H / scale).astype(np.float32)
+        start = (at / scale).astype(np.float32)
+        for row, places in enumerate((x, y, w)):
+            np.add(start[:, row, None], single[row, 0] * self._x + single[row, 1] * self._y, out=places)
         # A patch far larger than its distance to the vanishing line reaches beyond it: it is no use, but no error.
         np.maximum(w, 1e-6, out=w)
         np.divide(x, w, out=x)
         np.divide(y, w, out=y)
-        return x, y
+        if bend is not None:
+            _bend(x, y, bend)
+        if sheet is not None:
+            sheet.move(x, y)
+        else:
+            np.clip(x, -_FARTHEST, _FARTHEST, out=x)
+            np.clip(y, -_FARTHEST, _FARTHEST, out=y)
+        return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
-    def _prepare(self, chosen: Indices) -> None:
-        missing = chosen[~self._ready[chosen]]
-        if not len(missing):
-            return
-        rim = self.window_px // 2 + 1
-        side = self.window_px + 2
-        corner = self.centres[missing].astype(np.intp) - rim
-        views = np.lib.stride_tricks.sliding_window_view(self._image, (side, side))
-        patches = views[corner[:, 1], corner[:, 0]].astype(np.float64)
-        inner = patches[:, 1:-1, 1:-1]
-        columns = np.empty((len(missing), self.window_px**2, 4))
-        flat = (len(missing), -1)
-        columns[:, :, 0] = (inner - inner.mean(axis=(1, 2), keepdims=True)).reshape(flat)
-        columns[:, :, 1] = 1.0
-        columns[:, :, 2] = ((patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2]) / 2).reshape(flat)
-        columns[:, :, 3] = ((patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1]) / 2).reshape(flat)
-        norms = np.sqrt((columns**2).sum(axis=1))
-        textured = norms[:, 0] > _FLAT * self.window_px
-        unit = columns / np.where(norms > 0, norms, 1.0)[:, None, :]
-        normal = unit.transpose(0, 2, 1) @ unit
-        textured &= np.linalg.eigvalsh(normal)[:, 0] > _WEAKEST
-        normal[~textured] = np.eye(4)
-        solvers = np.linalg.solve(normal, unit.transpose(0, 2, 1)) / np.where(norms > 0, norms, 1.0)[:, :, None]
-        self._solvers[missing] = solvers
-        self._contrast[missing] = np.where(textured, norms[:, 0], 0.0)
-        self._ready[missing] = True
+    def displacements(self, samples: Image) -> Displacements:
+        """Compare the patches with samples, (N, window_px^2), that `sampled` took for them, or for the first N."""
+        first = len(samples)
+        if first > len(self._seen) or samples.shape[1:] != self._seen.shape[1:]:
+            raise ShapeError(f"samples: shape {samples.shape}; need at most {self._seen.shape}")
+        seen, contrast = self._seen[:first], self._contrast[:first]
+        np.copyto(seen, samples)
+        gain, a_dx, a_dy, mean = (self._solvers[:first] @ seen[:, :, None])[:, :, 0].T
+        variance = np.einsum("np,np->n", seen, seen) - self._area * mean**2
+        usable = (variance > self._area * _FLAT**2) & (contrast > 0) & (np.abs(gain) * contrast > 1e-3)
+        inverse = usable / np.where(usable, gain, 1.0)
+        xy = np.stack((a_dx * inverse, a_dy * inverse), axis=1).astype(np.float64)
+        similarity = usable * gain * contrast / np.sqrt(np.where(usable, variance, 1.0))
+        return Displacements(xy, np.clip(similarity, -1.0, 1.0).astype(np.float64))
 
 
-def _bent(
-    x: NDArray[np.float32], y: NDArray[np.float32], bend: LocalBend
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _bend(x: NDArray[np.float32], y: NDArray[np.float32], bend: LocalBend) -> None:
+    """Bend places about their centres, in place."""
     straight, bent, by = (a.astype(np.float32) for a in (bend.straight, bend.bent, bend.by_straight))
-    x = x - straight[:, 0, None]
-    y = y - straight[:, 1, None]
-    return (
-        bent[:, 0, None] + by[:, 0, 0, None] * x + by[:, 0, 1, None] * y,
-        bent[:, 1, None] + by[:, 1, 0, None] * x + by[:, 1, 1, None] * y,
-    )
+    x -= straight[:, 0, None]
+    y -= straight[:, 1, None]
+    bent_x = bent[:, 0, None] + by[:, 0, 0, None] * x + by[:, 0, 1, None] * y
+    y *= by[:, 1, 1, None]
+    y += bent[:, 1, None] + by[:, 1, 0, None] * x
+    x[:] = bent_x

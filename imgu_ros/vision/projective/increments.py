@@ -78,7 +78,7 @@ class PlaneMotion:
 
         Parameters
         ----------
-        displacements : (N, 2) px
+        displacements : (N, 2) px, of all points or of the first N
         usable : (N,) those that count
         floor_px : least standard deviation of a coordinate, > 0
         before : what nearly the same displacements told before: a start that saves rounds
@@ -88,9 +88,10 @@ class PlaneMotion:
         NoConsensus
             If fewer are usable than the motion has parameters, or they do not determine one.
         """
-        count, _, parameters = self._by.shape
-        if displacements.shape != (count, 2) or usable.shape != (count,):
-            raise ShapeError(f"displacements: shape {displacements.shape}; need ({count}, 2)")
+        count, parameters = len(displacements), self._by.shape[2]
+        if count > len(self._by) or displacements.shape != (count, 2) or usable.shape != (count,):
+            raise ShapeError(f"displacements: shape {displacements.shape}; need (N, 2), N up to {len(self._by)}")
+        by = self._by[:count]
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
             raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
@@ -98,13 +99,13 @@ class PlaneMotion:
         floor = floor_px / self._unit
         weights = usable.astype(np.float64)
         cauchy_rounds = _CAUCHY_ROUNDS
-        if before is not None and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
+        if before is not None and len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
             weights *= before.agreeing
             cauchy_rounds = 0
         motion, squared, sigma = np.zeros(parameters), np.zeros(count), floor
         for turn in range(cauchy_rounds + _TUKEY_ROUNDS):
-            motion = self._solved(moved, weights)
-            away = moved - self._by @ motion
+            motion = _solved(by, moved, weights)
+            away = moved - by @ motion
             squared = np.einsum("ni,ni->n", away, away)
             # The distance that half of them are within; np.median takes ten times as long.
             middle = float(np.partition(squared[usable], used // 2)[used // 2])
@@ -117,16 +118,18 @@ class PlaneMotion:
         matrix[:2] += motion[:6].reshape(2, 3)
         if parameters == 8:
             matrix[2, :2] += motion[6:]
-        largest = float(np.abs(self._by @ motion).max()) * self._unit
+        largest = float(np.abs(by @ motion).max()) * self._unit
         return Motion(self._back @ matrix @ self._normalised, weights > 0, sigma * self._unit, largest)
 
-    def _solved(self, moved: Floats, weights: Floats) -> Floats:
-        rows = (self._by * weights[:, None, None]).reshape(-1, self._by.shape[2])
-        try:
-            motion = np.linalg.solve(rows.T @ self._by.reshape(rows.shape), rows.T @ moved.ravel())
-        except np.linalg.LinAlgError:
-            motion = np.full(rows.shape[1], np.inf)
-        # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
-        if not np.abs(motion).max() < _LARGEST_MOTION:
-            raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
-        return motion
+
+def _solved(by: Floats, moved: Points, weights: Floats) -> Floats:
+    """Return the weighted least-squares motion (P,) of by (N, 2, P) motion = moved (N, 2)."""
+    rows = (by * weights[:, None, None]).reshape(-1, by.shape[2])
+    try:
+        motion = np.linalg.solve(rows.T @ by.reshape(rows.shape), rows.T @ moved.ravel())
+    except np.linalg.LinAlgError:
+        motion = np.full(rows.shape[1], np.inf)
+    # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
+    if not np.abs(motion).max() < _LARGEST_MOTION:
+        raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
+    return np.asarray(motion, np.float64)
