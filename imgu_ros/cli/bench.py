@@ -53,8 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sift-every", type=int, default=4, metavar="N",
         help="show SIFT every n-th frame of a sequence only, for it takes most of the time (default 4)")
     add("--negatives", type=int, default=500, metavar="N", help="frames without a target (default 500)")
-    add("--photographs", type=Path, metavar="DIR",
-        help="folder of pictures that frames without a target show (default: textures)")
+    add("--photographs", type=Path, metavar="DIR", action="append", default=[],
+        help="folder of pictures that frames without a target show; may be repeated (default: textures)")
     add("--length-frames", type=int, default=2000, metavar="N", help="frames of the suite `length` (default 2000)")
     add("--out", type=Path, metavar="DIR", help=f"write {JSON}, {TABLE} and {PLOT} into DIR")
     add("--markdown", action="store_true", help="print the tables as Markdown")
@@ -107,7 +107,7 @@ def _options(arguments: argparse.Namespace) -> Options:
         methods=arguments.methods or tuple(METHODS),
         sift_every=arguments.sift_every,
         negatives=arguments.negatives,
-        photographs=_photographs(arguments.photographs) if arguments.photographs else (),
+        photographs=tuple(picture for folder in arguments.photographs for picture in _photographs(folder)),
         length_frames=arguments.length_frames,
         parameters=parameters,
     )
