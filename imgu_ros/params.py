@@ -214,7 +214,7 @@ class PyramidParameters:
 class KeypointsParameters:
     detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "moravec", "dog", "mser", "orb"))
     max_count: int = parameter(
-        700, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
+        600, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
     )
     fast_arc: int = parameter(
         9,

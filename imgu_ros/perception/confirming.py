@@ -120,9 +120,11 @@ def _seen(pictures: Pictures, H: Matrix3, camera: Camera | None, size: tuple[int
         M = np.array([[s, 0, 0.5 * s - 0.5], [0, s, 0.5 * s - 0.5], [0, 0, 1]]) @ H
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return cv2.warpPerspective(picture, M, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    grid = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2)
+    x, y = (np.arange(count, dtype=np.float64) for count in size)
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     at = ((_raw(grid, H, camera) + 0.5) * s - 0.5).astype(np.float32).reshape(size[1], size[0], 2)
-    return cv2.remap(picture, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    map_x, map_y = (np.ascontiguousarray(at[..., axis]) for axis in (0, 1))
+    return cv2.remap(picture, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _alike(drawn: Image, seen: Image, in_view: Mask) -> float:

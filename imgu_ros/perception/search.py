@@ -19,12 +19,14 @@ from imgu_ros.perception.refinement import refine_by_alignment
 from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.target_features import TargetFeatures
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Mask
+from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.estimation.ransac import Score, ransac
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.nearest import match_to_gallery
-from imgu_ros.vision.projective.estimate import estimate_homography
+from imgu_ros.vision.projective.estimate import fit_homography
+from imgu_ros.vision.projective.minimal import HomographyModel
 
 #: How wrong, raw px, a homography of keypoints may be.
 _DETECTION_REACH_PX = 8.0
@@ -68,14 +70,19 @@ def search(
     lens = bending(searched.frame.camera)
     try:
         with clock.measures(Stage.HOMOGRAPHY):
-            located, inliers = _located(target, matches, searched, lens, parameters, rng)
-            matches = replace(matches, inliers=inliers)
+            agreed = _agreed(matches, searched, lens, parameters, rng)
+            matches = replace(matches, inliers=agreed.inliers)
+            located = None if parameters.refinement.enabled else _fitted(agreed, matches, parameters)
             if parameters.matching.guided:
-                more = guided(target, known, searched.features, Guided(matches, located), lens, parameters)
+                found = Guided(matches, located or _fitted(agreed, matches, parameters))
+                more = guided(target, known, searched.features, found, lens, parameters)
                 matches, located = more.matches, more.located
         with clock.measures(Stage.REFINE):
             if parameters.refinement.enabled:
-                located = _aligned(target, searched, located, lens, parameters)
+                H = agreed.H if located is None else located.homography.H
+                # Where patches do not agree (blur, little texture), keypoints still say where the target is.
+                located = _aligned(target, searched, H, lens, parameters) or located
+            located = located or _fitted(agreed, matches, parameters)
             # Where little of a target is in view, only the refined homography is good enough to tell.
             require_plausible(target, located.homography)
             require_confirmed(searched.pictures, target, located.homography.H, lens)
@@ -83,9 +90,9 @@ def search(
         return replace(missing, status=Status.DEGENERATE, reason=str(error))
     except EstimationError as error:
         return replace(missing, reason=str(error))
-    found = replace(missing, status=Status.DETECTED, matches=matches)
+    detected = replace(missing, status=Status.DETECTED, matches=matches)
     with clock.measures(Stage.POSE):
-        return posed(found, target, located, searched.frame.camera, parameters)
+        return posed(detected, target, located, searched.frame.camera, parameters)
 
 
 def _matched(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> TargetMatches:
@@ -101,54 +108,66 @@ def _matched(known: TargetFeatures, described: Descriptions, parameters: Paramet
     )
 
 
-def _located(
-    target: Target,
-    matches: TargetMatches,
-    searched: Searched,
-    lens: Camera | None,
-    parameters: Parameters,
-    rng: np.random.Generator,
-) -> tuple[Located, Mask]:
-    """Return the homography of the tentative matches, and which of them agree with it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Agreed:
+    """A homography on which tentative matches agree: the `inliers`, (N,), in ideal px at `ideal_xy`, (N, 2)."""
+
+    H: Matrix3
+    inliers: Mask
+    ideal_xy: Points
+
+
+def _agreed(
+    matches: TargetMatches, searched: Searched, lens: Camera | None, parameters: Parameters, rng: np.random.Generator
+) -> _Agreed:
     p = parameters.homography
-    usable = np.ones(len(matches.template_xy), bool)
+    usable = np.arange(len(matches.template_xy))
     ideal = matches.image_xy
     if lens is not None:
-        ideal, usable = lens.ideal_pixels(matches.image_xy)
-    count = np.count_nonzero(usable)
-    if count < p.min_inliers:
-        raise TooFewPoints(f"matches: {count}; need {p.min_inliers}")
-    estimate = estimate_homography(
-        matches.template_xy[usable],
-        ideal[usable],
+        ideal, valid = lens.ideal_pixels(matches.image_xy)
+        usable = np.flatnonzero(valid)
+    if len(usable) < p.min_inliers:
+        raise TooFewPoints(f"matches: {len(usable)}; need {p.min_inliers}")
+    symmetric = Score(p.score) is Score.BIWEIGHT
+    model = HomographyModel(matches.template_xy[usable], ideal[usable], symmetric)
+    consensus = ransac(
+        model,
+        p.threshold_px * searched.features.unit_px,
         rng,
-        threshold_px=p.threshold_px * searched.features.unit_px,
         sampler=p.sampler,
         score=p.score,
         confidence=p.confidence,
         max_iterations=p.max_iterations,
         min_inliers=p.min_inliers,
+        unit=" px",
+    )
+    inliers = np.zeros(len(matches.template_xy), bool)
+    inliers[usable[consensus.inliers]] = True
+    return _Agreed(model.denormalised(consensus.hypothesis), inliers, ideal)
+
+
+def _fitted(agreed: _Agreed, matches: TargetMatches, parameters: Parameters) -> Located:
+    """Return the location that minimises the inliers' error."""
+    p = parameters.homography
+    estimate = fit_homography(
+        matches.template_xy[agreed.inliers],
+        agreed.ideal_xy[agreed.inliers],
         error=p.error,
         refine=None if p.refine == "none" else p.refine,
+        start=agreed.H,
     )
-    inliers = np.zeros(len(usable), bool)
-    inliers[np.flatnonzero(usable)[estimate.inliers]] = True
-    return Located(matches.template_xy[inliers], matches.image_xy[inliers], estimate), inliers
+    return Located(matches.template_xy[agreed.inliers], matches.image_xy[agreed.inliers], estimate)
 
 
 def _aligned(
-    target: Target,
-    searched: Searched,
-    located: Located,
-    lens: Camera | None,
-    parameters: Parameters,
-) -> Located:
-    """Return the refined location, or the given one when the patches do not agree (blur, little texture)."""
+    target: Target, searched: Searched, H: Matrix3, lens: Camera | None, parameters: Parameters
+) -> Located | None:
+    """Return the refined location; None when the patches do not agree."""
     try:
         aligned = refine_by_alignment(
             searched.pictures,
             target,
-            located.homography.H,
+            H,
             lens,
             parameters.refinement,
             parameters.homography.min_inliers,
@@ -156,5 +175,5 @@ def _aligned(
         )
         require_plausible(target, aligned.homography)
     except EstimationError:
-        return located
+        return None
     return Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed)

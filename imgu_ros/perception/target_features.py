@@ -23,7 +23,7 @@ from imgu_ros.vision.scale_space.pyramid import PyramidKind, band_passed, build_
 #: A target may fill this many times the frame's longer side.
 _LARGEST_VIEW = 2
 #: Keypoints of a target for each of the frame's: it is described at every scale.
-_RICHNESS = 2
+_RICHNESS = 1.5
 _SMALLEST_SIDE_PX = 48
 #: Oblique views: descriptors bear about 45 degrees of tilt, so that one of 60 reaches beyond 70 (Yu & Morel 2011).
 _SHORTENING = 2
