@@ -265,7 +265,7 @@ class HomographyParameters:
         0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999
     )
     max_iterations: int = parameter(2000, "Most samples drawn.", minimum=1, maximum=1_000_000)
-    min_inliers: int = parameter(12, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
+    min_inliers: int = parameter(8, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
     error: str = parameter(
         "sampson",
         "Error that the refinement minimises.",

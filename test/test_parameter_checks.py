@@ -136,7 +136,10 @@ def test_metrics_are_those_of_the_library() -> None:
                 "to tell places apart; need one of the two"
             ),
         ),
-        ({"keypoints.max_count": 11}, "keypoints.max_count: 11; need at least homography.min_inliers (12)"),
+        (
+            {"keypoints.max_count": 8, "homography.min_inliers": 9},
+            "keypoints.max_count: 8; need at least homography.min_inliers (9)",
+        ),
         ({"homography.min_inliers": 251}, "refinement.max_points: 250; need at least homography.min_inliers (251)"),
     ],
 )

@@ -86,7 +86,7 @@ class Chain:
         ]
         missing = [index for index, result in enumerate(results) if result is None]
         due = self._search_is_due(missing)
-        features = find_features(developed.grey, self._parameters, clock) if due or with_keypoints else None
+        features = find_features(pictures, self._parameters, clock) if due or with_keypoints else None
         if features is not None and due:
             covered = [result.outline for result in results if result is not None and result.outline is not None]
             view = View(frame, pictures, features, covered)

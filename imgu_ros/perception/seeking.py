@@ -90,7 +90,7 @@ class Seeker:
                 left[result.index] = result
         if thorough and not any_found:
             p = thoroughly(self._parameters)
-            features = find_features(view.pictures.halved(0), p, clock)
+            features = find_features(view.pictures, p, clock)
             for result in self._search(view, features, tuple(left), clock, thorough=True):
                 left[result.index] = result
         yield from (result for result in left.values() if result is not None)

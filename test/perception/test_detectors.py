@@ -35,5 +35,5 @@ def test_the_arc_reaches_the_detector(target_images):
     for arc in (9, 12):
         values = {"keypoints.detector": "fast", "keypoints.fast_arc": arc, "keypoints.max_count": 50}
         (target,) = prepare_targets(target_images[:1], parameters_from(values))
-        found.append({tuple(xy) for xy in target.described.keypoints.xy.tolist()})
+        found.append({tuple(xy) for xy in target.features.described.keypoints.xy.tolist()})
     assert found[0] != found[1]

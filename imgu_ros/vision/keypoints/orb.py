@@ -16,7 +16,8 @@ PATCH_PX = 31
 #: Structure scale of a FAST corner (a ring of radius 3 px) as a share of the patch.
 SIGMA_PER_SIZE = 1.5 / PATCH_PX
 
-_FAST_THRESHOLD = 10
+#: Grey values: the second where the first gives too few corners.
+_FAST_THRESHOLDS = (20, 10)
 _SURPLUS = 2
 
 
@@ -55,12 +56,17 @@ def detect_orb(image: Image, max_count: int) -> Corners:
         raise ShapeError(f"max_count: {max_count}; need at least 1")
     if min(image.shape) <= PATCH_PX:
         return corners_from_opencv([], SIGMA_PER_SIZE, with_angle=True)
-    detector = cv2.ORB.create(
-        nfeatures=_SURPLUS * max_count,
-        nlevels=1,
-        patchSize=PATCH_PX,
-        edgeThreshold=PATCH_PX // 2 + 1,
-        fastThreshold=_FAST_THRESHOLD,
-    )
-    corners = corners_from_opencv(detector.detect(image, None), SIGMA_PER_SIZE, with_angle=True)
+    wanted = _SURPLUS * max_count
+    for threshold in _FAST_THRESHOLDS:
+        detector = cv2.ORB.create(
+            nfeatures=wanted,
+            nlevels=1,
+            patchSize=PATCH_PX,
+            edgeThreshold=PATCH_PX // 2 + 1,
+            fastThreshold=threshold,
+        )
+        found = detector.detect(image, None)
+        if len(found) >= wanted:
+            break
+    corners = corners_from_opencv(found, SIGMA_PER_SIZE, with_angle=True)
     return corners.chosen(spread(corners.xy, corners.response, (image.shape[1], image.shape[0]), max_count))

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Floats, Image, Points, as_image, as_points
+from imgu_ros.types import Choice, Floats, Image, Points, as_floats, as_image, as_points
 from imgu_ros.vision.processing.interpolation import Interpolation, resized
 from imgu_ros.vision.processing.points import full_scale, require_range
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
@@ -73,6 +74,7 @@ def build_pyramid(
     max_side_px: int | None = None,
     min_side_px: int = 32,
     kernel: GaussianKernel | str = GaussianKernel.SAMPLED,
+    full_size: ArrayLike | None = None,
 ) -> Pyramid:
     """Build a Gaussian pyramid.
 
@@ -89,18 +91,21 @@ def build_pyramid(
         by the mean over the area of each of its pixels; None: level 0 is the image
     min_side_px : no level gets a shorter side than this, level 0 excepted
     kernel : Gaussian that smooths before subsampling
+    full_size : (width, height), px, at least the image's, of the picture that `image` is a reduction of, and to which
+        the levels' `step` refers; None: it is none
 
     Raises
     ------
     ShapeError
-        If `image` is not such an image, `kind` or `kernel` is unknown or a count is not positive.
+        If `image` is not such an image, or larger than `full_size`, `kind` or `kernel` is unknown, or a count is not
+        positive.
     """
     image = as_image(image)
     if levels < 1 or scales_per_octave < 1:
         raise ShapeError(f"levels, scales_per_octave: {levels}, {scales_per_octave}; need at least 1")
     kind, kernel = PyramidKind(kind), GaussianKernel(kernel)
     per_octave = scales_per_octave if kind is PyramidKind.FINE else 1
-    full = np.array(image.shape[1::-1], np.float64)
+    full = _full_size(image, full_size)
     base = image if max_side_px is None else _averaged(image, math.ceil(max(image.shape) / max(max_side_px, 1)))
     pictures = _pictures(base, per_octave, levels, min_side_px, kernel)
     pyramid = Pyramid(tuple(Level(picture, full / np.array(picture.shape[1::-1])) for picture in pictures))
@@ -206,6 +211,18 @@ def enlarged(image: Image, size: Sequence[int]) -> Image:
     [[0, 25, 75, 100]]
     """
     return resized(image, size, Interpolation.LINEAR)
+
+
+def _full_size(image: Image, full_size: ArrayLike | None) -> Floats:
+    size = np.array(image.shape[1::-1], np.float64)
+    if full_size is None:
+        return size
+    full = as_floats(full_size, "full_size")
+    if full.shape != (2,) or not (full >= size).all():
+        raise ShapeError(
+            f"full_size: {full_size!r}; need width and height, at least {image.shape[1]}, {image.shape[0]}"
+        )
+    return full
 
 
 def _averaged(image: Image, factor: int) -> Image:
