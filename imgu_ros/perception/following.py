@@ -13,9 +13,8 @@ from imgu_ros.perception.targets import Target
 from imgu_ros.types import Floats, Indices, Matrix3, Points
 from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.matching.alignment import LocalBend, PatchBank
-from imgu_ros.vision.matching.sheet import Sheet
+from imgu_ros.vision.matching.sheet import TALLEST_PX, Sheet
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion
 from imgu_ros.vision.projective.transform import local_jacobian
 
@@ -140,7 +139,7 @@ def follow_patches(
     return Followed(
         bank.template_xy(centres[agreeing]),
         reduced.to_full(seen_at),
-        window_correlation(centres[agreeing], effort.window_px),
+        patches.overlap if agreeing.all() else patches.overlap[np.ix_(agreeing, agreeing)],
         np.linalg.solve(reduced.matrix, picture_from_bank) @ bank.bank_from_template,
         len(chosen),
         motion.sigma_px * to_raw,
@@ -217,7 +216,8 @@ def _sheet(
     by_centre = np.abs(local_jacobian(picture_from_bank, centres)).sum(axis=2).max()
     stretch = 1.0 if camera is None else _MOST_STRETCHED
     side = 2 * math.ceil(float(by_centre) * stretch * (window_px // 2) + _SHEET_ROOM_PX)
-    if len(centres) * side**2 > _SHEET_SHARE * height * width or side > min(shape) - 2:
+    too_large = len(centres) * side**2 > _SHEET_SHARE * height * width or len(centres) * side > TALLEST_PX
+    if too_large or side > min(shape) - 2:
         return None
     at = _mapped(picture_from_bank, centres)
     if camera is not None:

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
@@ -62,6 +63,7 @@ class ImageInput:
     arrivals : images delivered
     counters : lost messages and incompatible QoS
     topics : what is subscribed
+    group : of the subscriptions' callbacks
     """
 
     def __init__(self, node: Node, transport: str) -> None:
@@ -69,6 +71,7 @@ class ImageInput:
         self.arrivals = RateMeter()
         self.counters = QosCounters()
         self.topics = input_topics(node, transport)
+        self.group = MutuallyExclusiveCallbackGroup()
         self._node = node
         self._pairing: Pairing[Job, Any] = Pairing()
         self._unmatched_before = 0
@@ -112,6 +115,7 @@ class ImageInput:
             self.topics.camera_info,
             self._on_camera_info,
             camera_info_qos(),
+            callback_group=self.group,
             event_callbacks=QosCounters().subscription_callbacks(),
             qos_overriding_options=overridable(),
         )
@@ -120,6 +124,7 @@ class ImageInput:
             self.topics.image,
             self._on_image,
             image_qos(),
+            callback_group=self.group,
             event_callbacks=self.counters.subscription_callbacks(),
             qos_overriding_options=overridable(),
         )

@@ -64,6 +64,7 @@ class Outputs:
         self._parameters = parameters
         self._serves = _served(target_names, parameters)
         self._publishers: dict[str, Publisher] = {}
+        self._of_keypoints: list[str] = []
         self._paths = {
             name: PathHistory(make_message, parameters.frames.target_prefix + name, parameters.path.max_length)
             for name in target_names
@@ -86,7 +87,7 @@ class Outputs:
 
     def needs_keypoints(self) -> bool:
         """Return whether somebody listens to keypoints or pyramid, which tracking does without."""
-        return needs_keypoints(topic for topic in self._publishers if self._listened(topic))
+        return any(self._listened(topic) for topic in self._of_keypoints)
 
     def unmatched(self) -> int:
         """Return how many subscribers cannot be served, for their QoS does not fit."""
@@ -134,6 +135,7 @@ class Outputs:
             self._add(prefix + "path", _PATH)
         if self._always:
             self._add("/tf", _TF, depth=100)
+        self._of_keypoints = [topic for topic in self._publishers if needs_keypoints([topic])]
 
     def _add(self, topic: str, type_name: str, depth: int | None = None) -> None:
         depth = depth or (_IMAGE_DEPTH if type_name in (_IMAGE, _COMPRESSED) else 10)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -104,6 +105,10 @@ class PerceptionNode(LifecycleNode):
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             raise self._failure or ImguError("perception: cannot be configured; see the log")
         self.trigger_activate()
+
+    def frame_group(self) -> CallbackGroup | None:
+        """Return the group of the inputs' callbacks while they are subscribed."""
+        return self._input.group if self._input.is_open else None
 
     def close(self) -> bool:
         """Drop the inputs and end the worker; return whether it has ended."""

@@ -11,12 +11,13 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.ros.spinning import Spinner
 from imgu_ros.ros.stopping import Stopped, StopSignal
 
 
@@ -25,6 +26,9 @@ class RunnableNode(Protocol):
 
     def start(self) -> None:
         """Begin the work; called once, from the main thread, before the first callback."""
+
+    def frame_group(self) -> CallbackGroup | None:
+        """Return the group of the callbacks that come with every frame; None while none is expected."""
 
     def close(self) -> bool:
         """End the threads of the node and say whether all have ended; safe to call more than once."""
@@ -106,20 +110,18 @@ def _made(make_node: Callable[[], Node]) -> Node:
 
 
 def _spin(node: Node, stop: StopSignal) -> None:
-    executor = SingleThreadedExecutor()
-    stop.on_request(executor.wake)
-    executor.add_node(node)
+    spinner = Spinner(node)
+    stop.on_request(spinner.wake)
     try:
         while not stop.requested:
             try:
-                executor.spin_once()
+                spinner.spin_once(node.frame_group())  # type: ignore[attr-defined]
             except Exception as error:
                 # A request that rclpy itself cannot handle must not end the node.
                 node.get_logger().error(f"{type(error).__name__}: {_without_source_lines(str(error))}")
                 time.sleep(0.01)
     finally:
-        executor.remove_node(node)
-        executor.shutdown(timeout_sec=0)
+        spinner.close()
 
 
 def _without_source_lines(text: str) -> str:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_points
+from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.matching.sheet import Sheet
 
 #: Smallest eigenvalue of a patch's normal matrix, scaled to a unit diagonal: below, it is flat or one straight edge.
@@ -157,7 +158,9 @@ class Patches:
     ) -> None:
         self.chosen = chosen
         self.centres = centres
+        self._side = window_px
         self._area = window_px**2
+        self._overlap: Floats | None = None
         self._solvers = solvers
         self._contrast = contrast
         offset = np.arange(-(window_px // 2), window_px // 2 + 1, dtype=np.float32)
@@ -211,10 +214,16 @@ class Patches:
             _bend(x, y, bend)
         if sheet is not None:
             sheet.move(x, y)
-        else:
-            np.clip(x, -_FARTHEST, _FARTHEST, out=x)
-            np.clip(y, -_FARTHEST, _FARTHEST, out=y)
+        np.clip(x, -_FARTHEST, _FARTHEST, out=x)
+        np.clip(y, -_FARTHEST, _FARTHEST, out=y)
         return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    @property
+    def overlap(self) -> Floats:
+        """The share of its pixels that each patch shares with each other one, (N, N); worked out once."""
+        if self._overlap is None:
+            self._overlap = window_correlation(self.centres, self._side)
+        return self._overlap
 
     def displacements(self, samples: Image) -> Displacements:
         """Compare the patches with samples, (N, window_px^2), that `sampled` took for them, or for the first N."""

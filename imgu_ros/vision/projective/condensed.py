@@ -12,16 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.types import Floats, Mask, Matrix3, as_matrix, as_points
-from imgu_ros.vision.projective.estimate import common_unit, unscaled
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
+from imgu_ros.vision.projective.estimate import unscaled
 from imgu_ros.vision.projective.homography import HomographyEstimate
-from imgu_ros.vision.projective.refine import TransferProblem, stepped, tangent_basis
+from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.transform import normalised_homography
 
-_ROUNDS = 2
 _OUTLIER_SIGMAS = 3.6
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 _FLOOR_PX = 0.02
+#: Third homogeneous coordinate, of a homography of unit norm and points of unit size, below which a point is not ahead.
+_NEAREST = 1e-6
+_LEAST_UNIT = 1e-12
+_WORST_CONDITION = 1e12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +67,10 @@ def condensed_homography(
 ) -> CondensedHomography:
     """Fit H with dst ~ H src to correspondences of which some may be wrong, from a homography that is nearly right.
 
-    At first those within `threshold_px` of the start are good; then, twice, those within 3.6 robust standard
-    deviations (from the median distance) of the least-squares fit to the good ones (least trimmed squares, Rousseeuw
-    1984). The transfer error is linearised once: from a start that is right to a pixel or two, the rest is below a
-    thousandth of a pixel. Covariance as by `propagated_covariance`.
+    At first those within `threshold_px` of the start are good; then those within 3.6 robust standard deviations (from
+    the median distance) of the least-squares fit to the good ones (least trimmed squares, Rousseeuw 1984). The
+    transfer error is linearised once: from a start that is right to a pixel or two, the rest is below a thousandth of
+    a pixel. Covariance as by `propagated_covariance`.
 
     Parameters
     ----------
@@ -95,41 +98,84 @@ def condensed_homography(
         raise ShapeError(f"threshold_px, min_points: {threshold_px!r}, {min_points!r}; need > 0, at least 5")
     if correlation is not None:
         correlation = as_matrix(correlation, (count, count), "correlation")
-    H = normalised_homography(as_matrix(start, (3, 3), "start"))
+    start = as_matrix(start, (3, 3), "start")
     if count < min_points:
         raise NoConsensus(f"src, dst: {count} correspondences agree; need {min_points}")
-    T_src, T_dst = common_unit(src, dst)
+    T_src, T_dst, T_src_inverse = _common_unit(src, dst)
     unit = float(T_dst[0, 0])
-    scaled = normalised_homography(T_dst @ H @ np.linalg.inv(T_src))
-    src, dst = (points @ T[:2, :2].T + T[:2, 2] for points, T in ((src, T_src), (dst, T_dst)))
-    ahead = src @ scaled[2, :2] + scaled[2, 2] > 1e-6
-    _require(ahead, min_points)
-    safe = src if ahead.all() else np.where(ahead[:, None], src, src[np.argmax(ahead)])
-    at_start = TransferProblem(safe, dst).linearise(scaled)
-    residuals, jacobian = at_start.residuals, at_start.jacobian
+    scaled = normalised_homography(T_dst @ start @ T_src_inverse)
+    at_start = _linearised(scaled, src @ T_src[:2, :2] + T_src[:2, 2], dst @ T_dst[:2, :2] + T_dst[:2, 2], min_points)
+    residuals, jacobian, ahead = at_start.residuals, at_start.jacobian, at_start.ahead
     if metric is not None:
         metric = as_matrix(metric, (count, 2, 2), "metric")
         residuals, jacobian = (metric @ residuals[:, :, None])[:, :, 0], metric @ jacobian
     step, kept = _trimmed(residuals, jacobian, ahead, threshold_px * unit, _FLOOR_PX * unit, min_points)
-    rows = jacobian[kept].reshape(-1, 8)
+    good = jacobian[kept]
+    rows = good.reshape(-1, 8)
     left = residuals[kept].ravel() + rows @ step
     normal = rows.T @ rows
     middle = normal
     taken = 8.0
     inverse = _inverse(normal)
     if correlation is not None:
-        middle = _with_correlation(jacobian[kept], correlation[np.ix_(kept, kept)])
+        among = correlation if kept.all() else correlation[np.ix_(kept, kept)]
+        middle = good[:, 0].T @ (among @ good[:, 0]) + good[:, 1].T @ (among @ good[:, 1])
         # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
-        taken = float(np.trace(inverse @ middle))
+        taken = float(np.vdot(inverse, middle))
     squares = float(left @ left)
     noise = math.sqrt(squares / max(len(left) - taken, 1.0))
-    scaled = normalised_homography(stepped(scaled, step))
+    # Brought back to unit norm after the step along its tangent.
+    moved = scaled.ravel() + at_start.basis @ step
+    scaled = (moved / math.sqrt(float(moved @ moved))).reshape(3, 3)
     H, by_scaled = unscaled(scaled, T_src, T_dst)
     spread_out = by_scaled @ tangent_basis(scaled)
     covariance = noise**2 * spread_out @ (inverse @ middle @ inverse) @ spread_out.T
     rms = math.sqrt(squares / len(left)) / unit
     estimate = HomographyEstimate(H, (covariance + covariance.T) / 2, kept, rms, 0)
     return CondensedHomography(estimate, T_src, T_dst, scaled, normal, middle, squares, noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """Residuals (N, 2), derivative (N, 2, 8) by steps along `basis` (9, 8), and which points lie ahead, (N,)."""
+
+    residuals: Floats
+    jacobian: Floats
+    basis: Floats
+    ahead: Mask
+
+
+def _linearised(H: Matrix3, src: Points, dst: Points, min_points: int) -> _Linearised:
+    """The transfer error in one go, as `TransferProblem` has it."""
+    at = src @ H[:, :2].T + H[:, 2]
+    ahead = at[:, 2] > _NEAREST
+    _require(ahead, min_points)
+    w = np.maximum(at[:, 2:], _NEAREST)
+    xy = at[:, :2] / w
+    by_h = np.zeros((len(src), 2, 9))
+    by_h[:, 0, :2] = by_h[:, 1, 3:5] = src / w
+    by_h[:, 0, 2] = by_h[:, 1, 5] = 1 / w[:, 0]
+    np.multiply(-xy[:, :, None], by_h[:, 0, None, :3], out=by_h[:, :, 6:])
+    basis = tangent_basis(H)
+    return _Linearised(xy - dst, by_h @ basis, basis, ahead)
+
+
+def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3, Matrix3]:
+    """Return the similarities that centre each side and divide it by one unit, and the first one's inverse."""
+    centre_src, centre_dst = src.mean(axis=0), dst.mean(axis=0)
+    spreads = [
+        float(np.sqrt(((points - centre) ** 2).mean())) for points, centre in ((src, centre_src), (dst, centre_dst))
+    ]
+    if not (min(spreads) > 0 and _LEAST_UNIT < spreads[0] * spreads[1] < 1 / _LEAST_UNIT):
+        raise DegenerateConfiguration("src, dst: all points of a side coincide, or they are no places in a picture")
+    # One factor for both sides: distances keep their proportions.
+    factor = 1 / math.sqrt(spreads[0] * spreads[1])
+    T_src, T_dst, T_src_inverse = np.eye(3), np.eye(3), np.eye(3)
+    T_src[0, 0] = T_src[1, 1] = T_dst[0, 0] = T_dst[1, 1] = factor
+    T_src[:2, 2], T_dst[:2, 2] = -factor * centre_src, -factor * centre_dst
+    T_src_inverse[0, 0] = T_src_inverse[1, 1] = 1 / factor
+    T_src_inverse[:2, 2] = centre_src
+    return T_src, T_dst, T_src_inverse
 
 
 def _trimmed(
@@ -139,14 +185,14 @@ def _trimmed(
     distance = np.where(ahead, np.sqrt((residuals**2).sum(axis=1)), np.inf)
     kept = distance <= threshold
     step = np.zeros(8)
-    for turn in range(_ROUNDS + 1):
+    for turn in (0, 1):
         _require(kept, min_points)
         rows = jacobian[kept].reshape(-1, 8)
         try:
             step = -np.linalg.solve(rows.T @ rows, rows.T @ residuals[kept].ravel())
         except np.linalg.LinAlgError:
             raise _not_determined() from None
-        if turn < _ROUNDS:
+        if turn == 0:
             distance = np.where(ahead, np.sqrt(((residuals + jacobian @ step) ** 2).sum(axis=1)), np.inf)
             good = distance[kept]
             # The distance that half of them are within; np.median takes ten times as long.
@@ -155,23 +201,19 @@ def _trimmed(
     return step, kept
 
 
-def _with_correlation(jacobian: Floats, correlation: Floats) -> Floats:
-    """Return J^T (C x I_2) J for J of (N, 2, 8)."""
-    total = np.zeros((8, 8))
-    for axis in (0, 1):
-        rows = jacobian[:, axis]
-        total += rows.T @ (correlation @ rows)
-    return total
-
-
 def _inverse(normal: Floats) -> Floats:
     scale = np.sqrt(np.diag(normal))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         raise _not_determined()
-    scaled = normal / np.outer(scale, scale)
-    if not np.linalg.eigvalsh(scaled)[0] > 1e-12:
+    by_scale = np.outer(scale, scale)
+    try:
+        inverse = np.linalg.inv(normal / by_scale)
+    except np.linalg.LinAlgError:
+        raise _not_determined() from None
+    # Of a matrix with unit diagonal, the inverse's diagonal is as large as its condition is bad.
+    if not 0 < float(np.diag(inverse).max()) < _WORST_CONDITION:
         raise _not_determined()
-    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale), np.float64)
+    return np.asarray(inverse / by_scale, np.float64)
 
 
 def _not_determined() -> DegenerateConfiguration:

@@ -140,7 +140,7 @@ def fit_homography(
     refined = refine is not None and error is not HomographyError.ALGEBRAIC
     H = normalised_homography(start) if refined and start is not None else homography_dlt(src, dst)
     # Both sides centred and divided by one unit: well conditioned, and distances keep their proportions.
-    T_src, T_dst = common_unit(src, dst)
+    T_src, T_dst = _common_unit(src, dst)
     problem = _PROBLEMS[error](_mapped(T_src, src), _mapped(T_dst, dst))
     scaled = normalised_homography(T_dst @ H @ np.linalg.inv(T_src))
     if not faces_camera(scaled, _mapped(T_src, src)):
@@ -188,7 +188,7 @@ def _inliers(H: Matrix3, src: Points, dst: Points, threshold_px: float) -> Mask:
     return np.asarray(ahead & (np.hypot(*(xy - dst).T) <= threshold_px))
 
 
-def common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
+def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
     """Return the similarities (3, 3) that centre `src` and `dst`, (N, 2) each, and scale both by the same factor.
 
     Raises
@@ -226,7 +226,9 @@ def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, 
     H = normalised_homography(raw)
     norm = math.copysign(float(np.linalg.norm(raw)), float(np.vdot(raw, H)))
     h = H.ravel()
-    return H, (np.eye(9) - np.outer(h, h)) @ np.kron(T_inverse, T_src.T) / norm
+    # The Kronecker product of T_dst^-1 and T_src^T; np.kron takes several times as long.
+    by_scaled = T_inverse[:, None, :, None] * T_src.T[None, :, None, :]
+    return H, (np.eye(9) - np.outer(h, h)) @ by_scaled.reshape(9, 9) / norm
 
 
 _MOST_STEPS = {

@@ -81,7 +81,8 @@ class PlaneMotion:
         displacements : (N, 2) px, of all points or of the first N
         usable : (N,) those that count
         floor_px : least standard deviation of a coordinate, > 0
-        before : what nearly the same displacements told before: a start that saves rounds
+        before : what was told before, of nearly the same displacements or of the first of them: a start that saves
+            rounds
 
         Raises
         ------
@@ -98,12 +99,15 @@ class PlaneMotion:
         moved = displacements / self._unit
         floor = floor_px / self._unit
         weights = usable.astype(np.float64)
-        cauchy_rounds = _CAUCHY_ROUNDS
-        if before is not None and len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
-            weights *= before.agreeing
-            cauchy_rounds = 0
+        cauchy_rounds, rounds = _CAUCHY_ROUNDS, _CAUCHY_ROUNDS + _TUKEY_ROUNDS
+        if before is not None:
+            rounds = _TUKEY_ROUNDS
+            cauchy_rounds = 1
+            if len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
+                weights *= before.agreeing
+                cauchy_rounds, rounds = 0, 1
         motion, squared, sigma = np.zeros(parameters), np.zeros(count), floor
-        for turn in range(cauchy_rounds + _TUKEY_ROUNDS):
+        for turn in range(rounds):
             motion = _solved(by, moved, weights)
             away = moved - by @ motion
             squared = np.einsum("ni,ni->n", away, away)
