@@ -78,14 +78,16 @@ def _covering(photograph: Image, size: tuple[int, int], rng: np.random.Generator
 
 
 def _within(alike: Image, size: tuple[int, int], rng: np.random.Generator) -> Matrix3:
-    """Return a homography that puts a picture somewhere into the frame."""
+    """Return a homography that puts the whole of a picture somewhere into the frame."""
     height, width = alike.shape[:2]
-    scale = rng.uniform(0.25, 0.9) * min(size[0] / width, size[1] / height)
     turn = rng.uniform(0, 2 * np.pi)
     c, s = np.cos(turn), np.sin(turn)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([width, height]) / 2 * scale
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([width, height]) / 2
     corners = corners * rng.uniform(0.75, 1.0, (4, 2)) @ np.array([[c, s], [-s, c]])
-    corners += np.array(size) / 2 + rng.uniform(-0.2, 0.2, 2) * np.array(size)
+    # The whole of it is in view: of a header alone nobody could say which picture it belongs to.
+    reach = np.array(size) / 2 / np.abs(corners).max(axis=0)
+    corners *= rng.uniform(0.3, 0.98) * reach.min()
+    corners += np.array(size) / 2 + rng.uniform(-1, 1, 2) * (np.array(size) / 2 - np.abs(corners).max(axis=0))
     ends = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
     return np.asarray(cv2.getPerspectiveTransform(ends, corners.astype(np.float32)), np.float64)
 
