@@ -23,6 +23,9 @@ from imgu_ros.perception.targets import Target
 from imgu_ros.perception.tracking import Sighting, Track, follow, located
 from imgu_ros.vision.matching.matches import Matches
 
+#: While one target is tracked, every so many searches for a few missing ones are thorough.
+_THOROUGH_EVERY = 6
+
 
 class Chain:
     """From raw frames to poses of known targets.
@@ -41,6 +44,7 @@ class Chain:
         self._seeker = Seeker(self._targets, parameters)
         self._tracks: list[Track | None] = []
         self._frames_without_search = 0
+        self._searches = 0
         self.reset()
 
     @property
@@ -48,10 +52,15 @@ class Chain:
         """The known targets."""
         return self._targets
 
+    def prepare(self) -> None:
+        """Make what the first thorough search would have to wait for, some tenths of a second for each target."""
+        self._seeker.prepare()
+
     def reset(self) -> None:
         """Forget all that earlier frames told."""
         self._tracks = [None] * len(self._targets)
         self._frames_without_search = 0
+        self._searches = 0
 
     def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
         """Work on one frame.
@@ -90,7 +99,9 @@ class Chain:
         if features is not None and due:
             covered = [result.outline for result in results if result is not None and result.outline is not None]
             view = View(frame, pictures, features, covered)
-            for result in self._seeker.seek(view, missing, clock, self._parameters.search.thorough):
+            self._searches += 1
+            thorough = self._searches % _THOROUGH_EVERY == 0
+            for result in self._seeker.seek(view, missing, clock, thorough):
                 results[result.index] = result
         targets = tuple(
             result or TargetResult(target.name, index, Status.LOST, reason="not looked for in this frame")

@@ -77,11 +77,12 @@ def search(
                 found = Guided(matches, located or _fitted(agreed, matches, parameters))
                 more = guided(target, known, searched.features, found, lens, parameters)
                 matches, located = more.matches, more.located
-        with clock.measures(Stage.REFINE):
-            if parameters.refinement.enabled:
-                H = agreed.H if located is None else located.homography.H
+        if parameters.refinement.enabled:
+            H = agreed.H if located is None else located.homography.H
+            with clock.measures(Stage.REFINE):
                 # Where patches do not agree (blur, little texture), keypoints still say where the target is.
                 located = _aligned(target, searched, H, lens, parameters) or located
+        with clock.measures(Stage.HOMOGRAPHY):
             located = located or _fitted(agreed, matches, parameters)
             # Where little of a target is in view, only the refined homography is good enough to tell.
             require_plausible(target, located.homography)

@@ -69,29 +69,33 @@ class Seeker:
             for target in self._targets[:_DIRECT]:
                 target.thorough.features()
 
-    def seek(self, view: View, missing: Sequence[int], clock: StageClock, thorough: bool) -> Iterator[TargetResult]:
+    def seek(
+        self, view: View, missing: Sequence[int], clock: StageClock, although_tracked: bool
+    ) -> Iterator[TargetResult]:
         """Yield what became of the missing targets that were looked for.
+
+        Those that a first look does not find are looked for thoroughly when no target at all was found, or when they
+        are few.
 
         Parameters
         ----------
         view : the frame
         missing : indices of targets
         clock : takes the time of the stages
-        thorough : look once more, thoroughly, when no target at all was found
+        although_tracked : look thoroughly for a few missing targets although others were found before this search
         """
-        left = dict.fromkeys(missing)
-        any_found = bool(view.covered)
-        for result in self._search(view, view.features, tuple(left), clock, thorough=False):
-            if result.status.found:
-                any_found = True
-                del left[result.index]
-                yield result
-            else:
-                left[result.index] = result
-        if thorough and not any_found:
-            p = thoroughly(self._parameters)
-            features = find_features(view.pictures, p, clock)
-            for result in self._search(view, features, tuple(left), clock, thorough=True):
+        left: dict[int, TargetResult | None] = dict.fromkeys(missing)
+        covered = list(view.covered)
+        for result in self._search(view, view.features, missing, clock, thorough=False):
+            left[result.index] = result
+            if result.outline is not None:
+                covered.append(result.outline)
+                yield left.pop(result.index) or result
+        few = len(left) <= _DIRECT and (although_tracked or not view.covered)
+        if self._parameters.search.thorough and left and (few or not covered):
+            features = find_features(view.pictures, thoroughly(self._parameters), clock)
+            again = View(view.frame, view.pictures, features, covered)
+            for result in self._search(again, features, tuple(left), clock, thorough=True):
                 left[result.index] = result
         yield from (result for result in left.values() if result is not None)
 

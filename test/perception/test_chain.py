@@ -141,7 +141,7 @@ def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_fr
         assert lost.homography is None
         assert lost.pose is None
         assert chain.process(one_target_frames[1].frame).targets[0].status is Status.DETECTED
-    assert lost.reason == "matches: 0; need 12"  # of the blank frame
+    assert lost.reason == "matches: 0; need 8"  # of the blank frame
 
 
 def test_a_jump_is_detected_again_in_the_same_frame(one_target_frames: Frames, targets: Targets) -> None:

@@ -13,6 +13,7 @@ from imgu_ros.errors import ParameterError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import MatchingParameters, Parameters
 from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.features import Features
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.guiding import Guided, guided
 from imgu_ros.perception.posing import Located
@@ -111,4 +112,6 @@ def test_guided_matching_that_brings_no_more_changes_nothing(
     assert result.keypoints is not None and result.descriptors is not None
     nowhere = replace(result.keypoints, xy=result.keypoints.xy + 1e5)
     before = Guided(found.matches, Located(found.matches.template_xy, found.matches.image_xy, found.homography, None))
-    assert guided(target, Descriptions(nowhere, result.descriptors), before, None, Parameters()) is before
+    assert result.pyramid is not None
+    features = Features(result.pyramid, Descriptions(nowhere, result.descriptors))
+    assert guided(target, target.features, features, before, None, Parameters()) is before
