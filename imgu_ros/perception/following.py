@@ -10,12 +10,13 @@ import numpy as np
 from imgu_ros.errors import NoConsensus
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Floats, Indices, Matrix3, Points
+from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points
 from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.matching.alignment import LocalBend, PatchBank
+from imgu_ros.vision.matching.alignment import LocalBend, PatchBank, Patches
 from imgu_ros.vision.matching.sheet import TALLEST_PX, Sheet
-from imgu_ros.vision.projective.increments import Motion, PlaneMotion
+from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
+from imgu_ros.vision.projective.increments import Motion
 from imgu_ros.vision.projective.transform import local_jacobian
 
 #: A patch that looks less alike, or lies farther away than a share of its side, is not the one that is sought.
@@ -24,7 +25,7 @@ _FARTHEST_SHARE = 0.5
 _FEWEST_AT_FIRST = 6
 #: Patches of the first rounds, and by how little they move when the others join, px of the picture.
 _SCOUTS = 60
-_SCOUTED_PX = 0.6
+_SCOUTED_PX = 1.2
 #: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
 _SHEET_ROOM_PX = 6
 #: A sheet larger than this share of the frame saves nothing.
@@ -37,26 +38,54 @@ _ENOUGH_FOR_PROJECTIVE = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """Patches that were found, and agree.
+    """Patches that were found.
 
     Attributes
     ----------
-    template_xy : (N, 2) template px
-    ideal_xy : (N, 2) ideal px, where they are seen
-    correlation : (N, N) of the errors in `ideal_xy`: patches that share pixels share their errors
-    H : H_image_template in ideal px, the motion that they agree on
+    H : H_image_template in ideal px, the motion that most agree on
     sought : how many were tried
-    sigma_px : robust standard deviation of one coordinate, raw px
-    last_px : by how far, raw px, the last step of the alignment still moved a patch
+    agreeing : how many agree
+    bank : of the target's patches
+    patches : those that were tried
+    displacements : (N, 2) px of the bank, at `H_before`
+    motion : what they make
+    H_before : (3, 3) ideal px from the bank's px, without the motion
     """
 
-    template_xy: Points
-    ideal_xy: Points
-    correlation: Floats
     H: Matrix3
     sought: int
-    sigma_px: float
-    last_px: float
+    agreeing: int
+    bank: Bank
+    patches: Patches
+    displacements: Points
+    motion: Motion
+    H_before: Matrix3
+
+    def condensed(self, min_points: int) -> CondensedHomography:
+        """Return H_image_template with its covariance, in ideal px, of the patches that are not improbably far off.
+
+        Raises
+        ------
+        NoConsensus, DegenerateConfiguration
+            If there are too few, or they do not determine it.
+        """
+        return condensed_homography(
+            self.patches.motions(affine=False),
+            self.displacements,
+            self.motion,
+            self.H_before,
+            self.bank.bank_from_template,
+            self.patches.overlap,
+            max(min_points, 5),
+        )
+
+    def template_xy(self, chosen: Mask) -> Points:
+        """Return some of the patches' centres, template px."""
+        return self.bank.template_xy(self.patches.centres[chosen])
+
+    def ideal_xy(self, chosen: Mask) -> Points:
+        """Return where some of the patches are seen, ideal px."""
+        return _mapped(self.H_before, self.patches.centres[chosen] - self.displacements[chosen])
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +132,7 @@ def follow_patches(
     chosen = _in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort)
     patches = bank.patches.select(chosen)
     centres = patches.centres
-    motions = PlaneMotion(centres, affine=len(chosen) < _ENOUGH_FOR_PROJECTIVE)
+    motions = patches.motions(affine=len(chosen) < _ENOUGH_FOR_PROJECTIVE)
     sheet = None
     if halvings == 0:
         sheet = _sheet(picture_from_bank, centres, shape, reduced, camera, effort.window_px)
@@ -130,34 +159,25 @@ def follow_patches(
             break
     if motion is None or len(motion.agreeing) < len(chosen):
         raise NoConsensus(f"patches: they still move after {effort.steps} steps; need a better start")
-    agreeing = motion.agreeing
-    if np.count_nonzero(agreeing) < effort.fewest:
-        raise NoConsensus(f"patches: {np.count_nonzero(agreeing)} of {len(chosen)} agree; need {effort.fewest}")
-    seen_at = _mapped(before, centres[agreeing] - seen.xy[agreeing])
-    area = abs(float(np.linalg.det(local_jacobian(picture_from_bank, centres.mean(axis=0)[None])[0])))
-    to_raw = math.sqrt(area) / reduced.scale
-    return Followed(
-        bank.template_xy(centres[agreeing]),
-        reduced.to_full(seen_at),
-        patches.overlap if agreeing.all() else patches.overlap[np.ix_(agreeing, agreeing)],
-        np.linalg.solve(reduced.matrix, picture_from_bank) @ bank.bank_from_template,
-        len(chosen),
-        motion.sigma_px * to_raw,
-        motion.largest_px * to_raw,
-    )
+    agreeing = int(np.count_nonzero(motion.agreeing))
+    if agreeing < effort.fewest:
+        raise NoConsensus(f"patches: {agreeing} of {len(chosen)} agree; need {effort.fewest}")
+    H = reduced.inverse @ picture_from_bank @ bank.bank_from_template
+    return Followed(H, len(chosen), agreeing, bank, patches, seen.xy, motion, reduced.inverse @ before)
 
 
-class _Bank:
-    """A target's patches at one of its octaves, and the way to and from them."""
+class Bank:
+    """A target's patches at one of its octaves, and the way to and from them; `step`: template px in one of its."""
 
     def __init__(self, patches: PatchBank, step: Floats) -> None:
         self.patches = patches
         sx, sy = step
         self.template_from_bank = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
-        self.bank_from_template = np.linalg.inv(self.template_from_bank)
+        self.bank_from_template = np.array([[1 / sx, 0, 0.5 / sx - 0.5], [0, 1 / sy, 0.5 / sy - 0.5], [0, 0, 1]])
         self._step = step
 
     def template_xy(self, xy: Points) -> Points:
+        """Map the bank's px to the template's."""
         return np.asarray((xy + 0.5) * self._step - 0.5)
 
 
@@ -168,6 +188,7 @@ class _Reduction:
         self.scale = scale
         shift = (scale - 1) / 2
         self.matrix = np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
+        self.inverse = np.array([[1 / scale, 0, -shift / scale], [0, 1 / scale, -shift / scale], [0, 0, 1]])
 
     def to_full(self, xy: Points) -> Points:
         return np.asarray((xy + 0.5) / self.scale - 0.5)
@@ -191,7 +212,7 @@ class _Reduction:
         return self.to_picture(xy @ square.T + K[:2, 2]), square @ by_xy @ inverse
 
 
-def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> _Bank:
+def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> Bank:
     """Return the patches of the octave whose pixels come out nearest in size to the picture's."""
     width, height = target.size
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
@@ -200,7 +221,7 @@ def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> _
     if not octaves:
         raise NoConsensus("patches: the target has none; need texture")
     best = min(octaves, key=lambda octave: abs(math.log(octave.level.scale * max(pixels, 1e-9))))
-    return _Bank(best.patches(window_px), best.level.step)
+    return Bank(best.patches(window_px), best.level.step)
 
 
 def _sheet(

@@ -14,7 +14,7 @@ from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
+from imgu_ros.vision.projective.condensed import CondensedHomography
 from imgu_ros.vision.projective.homography import HomographyEstimate
 
 #: Patches bridge errors of about so many pixels of the picture that they are sought in.
@@ -30,8 +30,6 @@ _COARSE_STEPS = 8
 _COARSE_ENOUGH_PX = 0.2
 _FINE_STEPS = 6
 _FINE_ENOUGH_PX = 0.15
-#: Distance, in robust standard deviations, beyond which a patch is not even tried in the final fit.
-_CONSENSUS_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,16 +130,10 @@ def _first_halvings(pictures: Pictures, target: Target, H: Matrix3, reach_px: fl
 
 
 def _fitted(found: Followed, halvings: int, camera: Camera | None, min_points: int) -> Alignment:
-    """Fit by least squares in raw px, leaving out what is improbably far off."""
-    metric = None
-    raw_xy = found.ideal_xy
-    if camera is not None:
-        raw_xy, metric = camera.raw_pixels_with_jacobian(found.ideal_xy)
-    threshold = max(_CONSENSUS_SIGMAS * found.sigma_px, 0.1)
-    condensed = condensed_homography(
-        found.template_xy, found.ideal_xy, found.H, threshold, max(min_points, 5), found.correlation, metric
-    )
+    """Fit by least squares, leaving out what is improbably far off."""
+    condensed = found.condensed(min_points)
     kept = condensed.estimate.inliers
-    if np.count_nonzero(kept) < min_points:
-        raise NoConsensus(f"patches: {np.count_nonzero(kept)} agree; need {min_points}")
-    return Alignment(found.template_xy[kept], raw_xy[kept], condensed, found.sought, halvings)
+    image_xy = found.ideal_xy(kept)
+    if camera is not None:
+        image_xy = camera.raw_pixels(image_xy)
+    return Alignment(found.template_xy(kept), image_xy, condensed, found.sought, halvings)

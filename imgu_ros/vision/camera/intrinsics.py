@@ -112,15 +112,6 @@ class Camera:
         """Map pixels of the distortion-free camera, (N, 2), to raw pixels: the inverse of `ideal_pixels`."""
         return self.distort(self._normalized_pixels(as_points(ideal, "ideal"), "ideal"))
 
-    def raw_pixels_with_jacobian(self, ideal: ArrayLike) -> tuple[Points, Floats]:
-        """As `raw_pixels`, and the derivative of each raw pixel by its ideal one, (N, 2, 2)."""
-        xy = self._normalized_pixels(as_points(ideal, "ideal"), "ideal")
-        K = self.K[:2, :2]
-        if not self.is_distorted:
-            return xy @ K.T + self.K[:2, 2], np.tile(np.eye(2), (len(xy), 1, 1))
-        bent, by_xy = bend(self.model, self.distortion, xy)
-        return _finite(bent @ K.T + self.K[:2, 2], "ideal"), K @ by_xy @ np.linalg.inv(K)
-
     def _normalized_pixels(self, pixels: Points, name: str) -> Points:
         with np.errstate(over="ignore", invalid="ignore"):
             return _finite(np.linalg.solve(self.K[:2, :2], (pixels - self.K[:2, 2]).T).T, name)

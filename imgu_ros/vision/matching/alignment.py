@@ -21,6 +21,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_points
 from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.matching.sheet import Sheet
+from imgu_ros.vision.projective.increments import PlaneMotion
 
 #: Smallest eigenvalue of a patch's normal matrix, scaled to a unit diagonal: below, it is flat or one straight edge.
 _WEAKEST = 1e-3
@@ -161,6 +162,7 @@ class Patches:
         self._side = window_px
         self._area = window_px**2
         self._overlap: Floats | None = None
+        self._motions: dict[bool, PlaneMotion] = {}
         self._solvers = solvers
         self._contrast = contrast
         offset = np.arange(-(window_px // 2), window_px // 2 + 1, dtype=np.float32)
@@ -224,6 +226,12 @@ class Patches:
         if self._overlap is None:
             self._overlap = window_correlation(self.centres, self._side)
         return self._overlap
+
+    def motions(self, affine: bool) -> PlaneMotion:
+        """Return what fits motions to the patches' displacements; made once."""
+        if affine not in self._motions:
+            self._motions[affine] = PlaneMotion(self.centres, affine)
+        return self._motions[affine]
 
     def displacements(self, samples: Image) -> Displacements:
         """Compare the patches with samples, (N, window_px^2), that `sampled` took for them, or for the first N."""

@@ -1,4 +1,4 @@
-"""A homography by trimmed least squares, and all that its correspondences tell condensed to eight numbers and two
+"""A homography by trimmed least squares, with all that its correspondences tell condensed to eight numbers and two
 small matrices: further models of the same plane (a calibrated camera's pose) are fitted to those instead of to the
 points (HZ section 5.2.3).
 """
@@ -9,22 +9,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
+from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.projective.estimate import unscaled
 from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
 from imgu_ros.vision.projective.refine import tangent_basis
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.transform import local_jacobian, normalised_homography, transform
 
 _OUTLIER_SIGMAS = 3.6
-_RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 _FLOOR_PX = 0.02
-#: Third homogeneous coordinate, of a homography of unit norm and points of unit size, below which a point is not ahead.
-_NEAREST = 1e-6
-_LEAST_UNIT = 1e-12
 _WORST_CONDITION = 1e12
+_SMALLEST_AREA = 1e-12
+#: The derivatives of I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]] by its parameters.
+_BY_PARAMETER = np.eye(9)[:8].reshape(8, 3, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,148 +56,94 @@ class CondensedHomography:
 
 
 def condensed_homography(
-    src: ArrayLike,
-    dst: ArrayLike,
-    start: Matrix3,
-    threshold_px: float,
-    min_points: int = 5,
+    motions: PlaneMotion,
+    displacements: Points,
+    start: Motion,
+    H_dst_points: Matrix3,
+    points_from_src: Matrix3,
     correlation: Floats | None = None,
-    metric: Floats | None = None,
+    min_points: int = 5,
 ) -> CondensedHomography:
-    """Fit H with dst ~ H src to correspondences of which some may be wrong, from a homography that is nearly right.
+    """Fit the homography that displacements of a plane's points tell, some of which may be wrong.
 
-    At first those within `threshold_px` of the start are good; then those within 3.6 robust standard deviations (from
-    the median distance) of the least-squares fit to the good ones (least trimmed squares, Rousseeuw 1984). The
-    transfer error is linearised once: from a start that is right to a pixel or two, the rest is below a thousandth of
-    a pixel. Covariance as by `propagated_covariance`.
+    Displacements within 3.6 robust standard deviations of a robust motion are good (least trimmed squares, Rousseeuw
+    1984); their least-squares motion is the estimate. What is minimised are distances in the plane of the points, so
+    that all that depends on the points alone is worked out once. The covariance is that of `propagated_covariance`.
 
     Parameters
     ----------
-    src, dst : (N, 2) px
-    start : dst ~ start src
-    threshold_px : largest distance in dst at first
-    min_points : fewest good correspondences, >= 5
-    correlation : (N, N) of the errors of different correspondences; None: independent
-    metric : (N, 2, 2) what a residual in dst is multiplied by before it is measured; None: the identity
+    motions : of the N points, projective
+    displacements : (N, 2) px of the points: the point x is seen where `H_dst_points` maps x minus its displacement
+    start : what `motions` made of them
+    H_dst_points : (3, 3)
+    points_from_src : (3, 3) px of the points from the px that the estimate is to map
+    correlation : (N, N) of the errors of different displacements; None: independent
+    min_points : fewest good displacements, >= 5
 
     Raises
     ------
     NoConsensus
         If fewer are good.
     DegenerateConfiguration
-        If all points coincide, or the good ones do not determine a homography.
+        If the good ones do not determine a homography, or a matrix is singular.
     ShapeError
         If the arrays do not fit each other.
     """
-    src, dst = as_points(src, "src"), as_points(dst, "dst")
-    count = len(src)
-    if count != len(dst):
-        raise ShapeError(f"dst: {len(dst)} points; need {count}, one for each of src")
-    if not threshold_px > 0 or min_points < 5:
-        raise ShapeError(f"threshold_px, min_points: {threshold_px!r}, {min_points!r}; need > 0, at least 5")
-    if correlation is not None:
-        correlation = as_matrix(correlation, (count, count), "correlation")
-    start = as_matrix(start, (3, 3), "start")
+    displacements = as_points(displacements, "displacements")
+    by, unit = motions.by_parameters, motions.unit_px
+    if displacements.shape != by.shape[:2] or start.agreeing.shape != by.shape[:1] or by.shape[2] != 8:
+        raise ShapeError(f"displacements: shape {displacements.shape}; need {by.shape[:2]}, of a projective motion")
+    if min_points < 5:
+        raise ShapeError(f"min_points: {min_points}; need at least 5")
+    H_dst_points, points_from_src = (
+        as_matrix(M, (3, 3), name) for M, name in ((H_dst_points, "H_dst_points"), (points_from_src, "points_from_src"))
+    )
+    moved = displacements / unit
+    away = moved - by @ start.parameters
+    farthest = max(_OUTLIER_SIGMAS * start.sigma_px, _FLOOR_PX) / unit
+    kept = start.agreeing & (np.einsum("ni,ni->n", away, away) <= farthest**2)
+    count = int(np.count_nonzero(kept))
     if count < min_points:
-        raise NoConsensus(f"src, dst: {count} correspondences agree; need {min_points}")
-    T_src, T_dst, T_src_inverse = _common_unit(src, dst)
-    unit = float(T_dst[0, 0])
-    scaled = normalised_homography(T_dst @ start @ T_src_inverse)
-    at_start = _linearised(scaled, src @ T_src[:2, :2] + T_src[:2, 2], dst @ T_dst[:2, :2] + T_dst[:2, 2], min_points)
-    residuals, jacobian, ahead = at_start.residuals, at_start.jacobian, at_start.ahead
-    if metric is not None:
-        metric = as_matrix(metric, (count, 2, 2), "metric")
-        residuals, jacobian = (metric @ residuals[:, :, None])[:, :, 0], metric @ jacobian
-    step, kept = _trimmed(residuals, jacobian, ahead, threshold_px * unit, _FLOOR_PX * unit, min_points)
-    good = jacobian[kept]
-    rows = good.reshape(-1, 8)
-    left = residuals[kept].ravel() + rows @ step
-    normal = rows.T @ rows
-    middle = normal
-    taken = 8.0
-    inverse = _inverse(normal)
-    if correlation is not None:
-        among = correlation if kept.all() else correlation[np.ix_(kept, kept)]
-        middle = good[:, 0].T @ (among @ good[:, 0]) + good[:, 1].T @ (among @ good[:, 1])
-        # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
-        taken = float(np.vdot(inverse, middle))
+        raise NoConsensus(f"displacements: {count} agree; need {min_points}")
+    if count == len(kept):
+        sums = motions.sums(correlation)
+    else:
+        by, moved = by[kept], moved[kept]
+        sums = motion_sums(by, None if correlation is None else correlation[np.ix_(kept, kept)])
+    rows = by.reshape(-1, 8)
+    inverse = _inverse(sums.normal)
+    motion = inverse @ (rows.T @ moved.ravel())
+    left = moved.ravel() - rows @ motion
+    # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
+    taken = float(np.vdot(inverse, sums.middle))
     squares = float(left @ left)
-    noise = math.sqrt(squares / max(len(left) - taken, 1.0))
-    # Brought back to unit norm after the step along its tangent.
-    moved = scaled.ravel() + at_start.basis @ step
-    scaled = (moved / math.sqrt(float(moved @ moved))).reshape(3, 3)
-    H, by_scaled = unscaled(scaled, T_src, T_dst)
-    spread_out = by_scaled @ tangent_basis(scaled)
-    covariance = noise**2 * spread_out @ (inverse @ middle @ inverse) @ spread_out.T
-    rms = math.sqrt(squares / len(left)) / unit
-    estimate = HomographyEstimate(H, (covariance + covariance.T) / 2, kept, rms, 0)
+    noise = math.sqrt(squares / max(2 * count - taken, 1.0))
+    # The picture at H(x - d) shows x: H is followed by the inverse of the motion by d.
+    H = H_dst_points @ _inverted(motions.matrix(motion), "displacements")
+    T_src = motions.normalised @ points_from_src
+    T_dst = _unit_similarity(H, motions)
+    scaled = normalised_homography(T_dst @ H @ motions.back)
+    basis = tangent_basis(scaled)
+    # H after a motion of the points: scaled (I + M)^-1, to first order scaled - scaled M.
+    by_tangent = _inverted(-(basis.T @ (scaled @ _BY_PARAMETER).reshape(8, 9).T), "displacements")
+    normal, middle = (by_tangent.T @ M @ by_tangent for M in (sums.normal, sums.middle))
+    by_motion = np.linalg.solve(by_tangent, inverse)
+    of_tangent = by_motion @ sums.middle @ by_motion.T
+    estimated, by_scaled = unscaled(scaled, T_src, T_dst)
+    spread_out = by_scaled @ basis
+    covariance = noise**2 * spread_out @ of_tangent @ spread_out.T
+    rms_px = math.sqrt(squares / (2 * count)) / float(T_dst[0, 0])
+    estimate = HomographyEstimate(estimated, (covariance + covariance.T) / 2, kept, rms_px, 0)
     return CondensedHomography(estimate, T_src, T_dst, scaled, normal, middle, squares, noise)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Linearised:
-    """Residuals (N, 2), derivative (N, 2, 8) by steps along `basis` (9, 8), and which points lie ahead, (N,)."""
-
-    residuals: Floats
-    jacobian: Floats
-    basis: Floats
-    ahead: Mask
-
-
-def _linearised(H: Matrix3, src: Points, dst: Points, min_points: int) -> _Linearised:
-    """The transfer error in one go, as `TransferProblem` has it."""
-    at = src @ H[:, :2].T + H[:, 2]
-    ahead = at[:, 2] > _NEAREST
-    _require(ahead, min_points)
-    w = np.maximum(at[:, 2:], _NEAREST)
-    xy = at[:, :2] / w
-    by_h = np.zeros((len(src), 2, 9))
-    by_h[:, 0, :2] = by_h[:, 1, 3:5] = src / w
-    by_h[:, 0, 2] = by_h[:, 1, 5] = 1 / w[:, 0]
-    np.multiply(-xy[:, :, None], by_h[:, 0, None, :3], out=by_h[:, :, 6:])
-    basis = tangent_basis(H)
-    return _Linearised(xy - dst, by_h @ basis, basis, ahead)
-
-
-def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3, Matrix3]:
-    """Return the similarities that centre each side and divide it by one unit, and the first one's inverse."""
-    centre_src, centre_dst = src.mean(axis=0), dst.mean(axis=0)
-    spreads = [
-        float(np.sqrt(((points - centre) ** 2).mean())) for points, centre in ((src, centre_src), (dst, centre_dst))
-    ]
-    if not (min(spreads) > 0 and _LEAST_UNIT < spreads[0] * spreads[1] < 1 / _LEAST_UNIT):
-        raise DegenerateConfiguration("src, dst: all points of a side coincide, or they are no places in a picture")
-    # One factor for both sides: distances keep their proportions.
-    factor = 1 / math.sqrt(spreads[0] * spreads[1])
-    T_src, T_dst, T_src_inverse = np.eye(3), np.eye(3), np.eye(3)
-    T_src[0, 0] = T_src[1, 1] = T_dst[0, 0] = T_dst[1, 1] = factor
-    T_src[:2, 2], T_dst[:2, 2] = -factor * centre_src, -factor * centre_dst
-    T_src_inverse[0, 0] = T_src_inverse[1, 1] = 1 / factor
-    T_src_inverse[:2, 2] = centre_src
-    return T_src, T_dst, T_src_inverse
-
-
-def _trimmed(
-    residuals: Floats, jacobian: Floats, ahead: Mask, threshold: float, floor: float, min_points: int
-) -> tuple[Floats, Mask]:
-    """Return the step (8,) to the trimmed least-squares fit, and which correspondences it rests on."""
-    distance = np.where(ahead, np.sqrt((residuals**2).sum(axis=1)), np.inf)
-    kept = distance <= threshold
-    step = np.zeros(8)
-    for turn in (0, 1):
-        _require(kept, min_points)
-        rows = jacobian[kept].reshape(-1, 8)
-        try:
-            step = -np.linalg.solve(rows.T @ rows, rows.T @ residuals[kept].ravel())
-        except np.linalg.LinAlgError:
-            raise _not_determined() from None
-        if turn == 0:
-            distance = np.where(ahead, np.sqrt(((residuals + jacobian @ step) ** 2).sum(axis=1)), np.inf)
-            good = distance[kept]
-            # The distance that half of them are within; np.median takes ten times as long.
-            sigma = float(np.partition(good, len(good) // 2)[len(good) // 2]) / _RAYLEIGH_MEDIAN
-            kept = distance <= max(_OUTLIER_SIGMAS * sigma, floor)
-    return step, kept
+def _unit_similarity(H: Matrix3, motions: PlaneMotion) -> Matrix3:
+    """Return the similarity of the picture that makes a unit of the points a unit, at their centre, and centres it."""
+    centre = motions.back[:2, 2][None]
+    jacobian = local_jacobian(H, centre)[0]
+    factor = 1 / (motions.unit_px * math.sqrt(max(abs(float(np.linalg.det(jacobian))), _SMALLEST_AREA)))
+    x, y = transform(H, centre)[0]
+    return np.array([[factor, 0, -factor * x], [0, factor, -factor * y], [0, 0, 1]])
 
 
 def _inverse(normal: Floats) -> Floats:
@@ -216,10 +161,12 @@ def _inverse(normal: Floats) -> Floats:
     return np.asarray(inverse / by_scale, np.float64)
 
 
+def _inverted(matrix: Floats, name: str) -> Floats:
+    try:
+        return np.asarray(np.linalg.inv(matrix), np.float64)
+    except np.linalg.LinAlgError:
+        raise DegenerateConfiguration(f"{name}: they squeeze the plane to a line; need a regular motion") from None
+
+
 def _not_determined() -> DegenerateConfiguration:
-    return DegenerateConfiguration("src: the good points lie on a line; need points that span the plane")
-
-
-def _require(kept: Mask, min_points: int) -> None:
-    if np.count_nonzero(kept) < min_points:
-        raise NoConsensus(f"src, dst: {np.count_nonzero(kept)} correspondences agree; need {min_points}")
+    return DegenerateConfiguration("displacements: the good points lie on a line; need points that span the plane")

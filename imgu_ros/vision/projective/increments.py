@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_matrix, as_points
 
 #: Rounds of reweighting: the first ones with Cauchy's weights, which find the majority from anywhere, the others with
 #: Tukey's, which leave out what is far off.
@@ -27,12 +27,14 @@ class Motion:
     Attributes
     ----------
     matrix : (3, 3) moved ~ matrix @ point; near the identity
+    parameters : (8,) the same, of normalised points: I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]]
     agreeing : (N,) displacements that are not improbably far from it
     sigma_px : robust standard deviation of one coordinate
     largest_px : the farthest that it moves one of the points
     """
 
     matrix: Matrix3
+    parameters: Floats
     agreeing: Mask
     sigma_px: float
     largest_px: float
@@ -49,6 +51,13 @@ class PlaneMotion:
     points : (N, 2) px
     affine : leave out the two projective numbers
 
+    Attributes
+    ----------
+    unit_px : length of a unit of the normalised points
+    normalised : (3, 3) normalised points from px
+    back : (3, 3) px from normalised points
+    by_parameters : (N, 2, 8), or (N, 2, 6) if affine: derivative of the normalised points' displacements
+
     Raises
     ------
     DegenerateConfiguration
@@ -58,12 +67,12 @@ class PlaneMotion:
     def __init__(self, points: ArrayLike, affine: bool = False) -> None:
         points = as_points(points, "points", 1)
         centre = points.mean(axis=0)
-        self._unit = float(np.sqrt(((points - centre) ** 2).mean()))
-        if not 1e-9 < self._unit < 1e12:
+        self.unit_px = float(np.sqrt(((points - centre) ** 2).mean()))
+        if not 1e-9 < self.unit_px < 1e12:
             raise DegenerateConfiguration("points: they coincide, or are no places in a picture")
-        x, y = ((points - centre) / self._unit).T
-        self._normalised = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, self._unit]]) / self._unit
-        self._back = np.array([[self._unit, 0, centre[0]], [0, self._unit, centre[1]], [0, 0, 1]])
+        x, y = ((points - centre) / self.unit_px).T
+        self.normalised = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, self.unit_px]]) / self.unit_px
+        self.back = np.array([[self.unit_px, 0, centre[0]], [0, self.unit_px, centre[1]], [0, 0, 1]])
         by = np.zeros((len(points), 2, 6 if affine else 8))
         by[:, 0, 0] = by[:, 1, 3] = x
         by[:, 0, 1] = by[:, 1, 4] = y
@@ -71,7 +80,8 @@ class PlaneMotion:
         if not affine:
             by[:, 0, 6], by[:, 0, 7] = -x * x, -x * y
             by[:, 1, 6], by[:, 1, 7] = -x * y, -y * y
-        self._by = by
+        self.by_parameters = by
+        self._sums: MotionSums | None = None
 
     def fit(self, displacements: Points, usable: Mask, floor_px: float = 0.01, before: Motion | None = None) -> Motion:
         """Fit the motion that most displacements agree on.
@@ -89,15 +99,17 @@ class PlaneMotion:
         NoConsensus
             If fewer are usable than the motion has parameters, or they do not determine one.
         """
-        count, parameters = len(displacements), self._by.shape[2]
-        if count > len(self._by) or displacements.shape != (count, 2) or usable.shape != (count,):
-            raise ShapeError(f"displacements: shape {displacements.shape}; need (N, 2), N up to {len(self._by)}")
-        by = self._by[:count]
+        count, parameters = len(displacements), self.by_parameters.shape[2]
+        if count > len(self.by_parameters) or displacements.shape != (count, 2) or usable.shape != (count,):
+            raise ShapeError(
+                f"displacements: shape {displacements.shape}; need (N, 2), N up to {len(self.by_parameters)}"
+            )
+        by = self.by_parameters[:count]
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
             raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
-        moved = displacements / self._unit
-        floor = floor_px / self._unit
+        moved = displacements / self.unit_px
+        floor = floor_px / self.unit_px
         weights = usable.astype(np.float64)
         cauchy_rounds, rounds = _CAUCHY_ROUNDS, _CAUCHY_ROUNDS + _TUKEY_ROUNDS
         if before is not None:
@@ -118,12 +130,51 @@ class PlaneMotion:
                 weights = usable / (1 + squared / (2 * sigma) ** 2)
             else:
                 weights = usable * np.maximum(1 - squared / (_TUKEY * sigma) ** 2, 0) ** 2
-        matrix = np.eye(3)
-        matrix[:2] += motion[:6].reshape(2, 3)
-        if parameters == 8:
-            matrix[2, :2] += motion[6:]
-        largest = float(np.abs(by @ motion).max()) * self._unit
-        return Motion(self._back @ matrix @ self._normalised, weights > 0, sigma * self._unit, largest)
+        largest = float(np.abs(by @ motion).max()) * self.unit_px
+        all_eight = np.zeros(8)
+        all_eight[:parameters] = motion
+        return Motion(self.matrix(all_eight), all_eight, weights > 0, sigma * self.unit_px, largest)
+
+    def matrix(self, motion: Floats) -> Matrix3:
+        """Return the homography (3, 3) of px that a motion's eight parameters stand for."""
+        near_identity = np.eye(3)
+        near_identity.ravel()[:8] += motion
+        return np.asarray(self.back @ near_identity @ self.normalised)
+
+    def sums(self, correlation: Floats | None = None) -> MotionSums:
+        """Return the normal matrix of all points, and with the correlation (N, N) of their errors; kept for again."""
+        if self._sums is None or self._sums.correlation is not correlation:
+            self._sums = motion_sums(self.by_parameters, correlation)
+        return self._sums
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionSums:
+    """J^T J and J^T C J, (8, 8) each, and the correlation C that they are of."""
+
+    normal: Floats
+    middle: Floats
+    correlation: Floats | None
+
+
+def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> MotionSums:
+    """Return the sums over points whose displacements have the derivative `by_parameters`, (N, 2, P).
+
+    Parameters
+    ----------
+    by_parameters : derivative
+    correlation : (N, N) of the errors of different points, the same for both coordinates; None: independent
+    """
+    by_parameters = as_floats(by_parameters, "by_parameters")
+    if by_parameters.ndim != 3 or by_parameters.shape[1] != 2:
+        raise ShapeError(f"by_parameters: shape {by_parameters.shape}; need (N, 2, P)")
+    rows = by_parameters.reshape(-1, by_parameters.shape[2])
+    normal = rows.T @ rows
+    if correlation is None:
+        return MotionSums(normal, normal, None)
+    correlation = as_matrix(correlation, (len(by_parameters),) * 2, "correlation")
+    x, y = (np.ascontiguousarray(by_parameters[:, axis]) for axis in (0, 1))
+    return MotionSums(normal, x.T @ (correlation @ x) + y.T @ (correlation @ y), correlation)
 
 
 def _solved(by: Floats, moved: Points, weights: Floats) -> Floats:
