@@ -30,6 +30,10 @@ THRESHOLD_PX = 3.0
 #: Fewer inliers than this are no find: four always agree.
 FEWEST_INLIERS = 10
 
+#: ORB's pyramid reaches over a factor of 3.6: a target's picture is reduced to about the size at which it is seen (its
+#: longer side, px). SIFT is better off with the whole resolution.
+LONGEST_SIDE_PX = {"ORB": 640}
+
 #: OpenCV names a pattern by the second row's second and third site.
 _TO_GREY = {
     BayerPattern.RGGB: cv2.COLOR_BayerBG2GRAY,
@@ -120,11 +124,16 @@ class Recipe:
     def _prepared(self, target: TargetImage) -> _Known:
         pixels = target.pixels
         grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+        height, width = grey.shape
+        scale = min(1.0, LONGEST_SIDE_PX.get(self.name, max(width, height)) / max(width, height))
+        if scale < 1:
+            grey = cv2.resize(grey, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
         keypoints, descriptors = self._detector.detectAndCompute(grey, None)
         if descriptors is None:
             raise ParameterError(f"target {target.name}: no features; need a picture with texture")
         xy = np.array(cv2.KeyPoint.convert(keypoints), np.float64).reshape(-1, 2)
-        height, width = grey.shape
+        # Pixel centres are at integers: outer edges are mapped to outer edges.
+        xy = (xy + 0.5) * (width / grey.shape[1], height / grey.shape[0]) - 0.5
         middle = np.array([(width - 1) / 2, (height - 1) / 2])
         metres = (xy - middle) * (target.width_m / width) * (1, -1)
         return _Known(
