@@ -12,6 +12,8 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.targets import TargetImage
 
 TRACKING, DETECTION, ORB, SIFT = "tracking", "detection", "ORB", "SIFT"
+#: What tables and plots call them.
+TITLES = {TRACKING: "ours, tracking", DETECTION: "ours, detecting", ORB: "ORB recipe", SIFT: "SIFT recipe"}
 
 #: Every method: its name, and how it is made of parameters (the chain's) and targets.
 METHODS: dict[str, Callable[[Parameters, Sequence[TargetImage]], Method]] = {

@@ -10,7 +10,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from imgu_ros.bench.figures import Figures
-from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING
+from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TITLES, TRACKING
 from imgu_ros.bench.suites import SEQUENCE, SINGLE
 from imgu_ros.errors import FileError
 from imgu_ros.simulate.conditions import PLAIN
@@ -68,7 +68,7 @@ def _sizes(rows: Sequence[Figures], kind: str) -> list[str]:
 def _time_and_accuracy(axis: Any, rows: Sequence[Figures]) -> None:
     for method in dict.fromkeys(r.method for r in rows):
         of_method = [r for r in rows if r.method == method]
-        style = {"color": _COLORS.get(method), "marker": _MARKS.get(method, "o"), "label": method}
+        style = {"color": _COLORS.get(method), "marker": _MARKS.get(method, "o"), "label": TITLES.get(method, method)}
         axis.plot([r.median_ms for r in of_method], [r.corner_p50_px for r in of_method], **style, linewidth=0.8)
         for r in of_method:
             axis.annotate(f" {r.size}", (r.median_ms, r.corner_p50_px), fontsize=7, va="bottom")
@@ -88,7 +88,7 @@ def _found(axis: Any, rows: Sequence[Figures], kind: str, size: str, conditions:
             by = {r.condition: getattr(r, what) for r in chosen if r.method == method}
             x = [i + 0.8 * (number + 0.5) / len(methods) - 0.4 for i, c in enumerate(places) if c in by]
             heights = [100 * by[c] for c in places if c in by]
-            label = method if what == "fine" else None
+            label = TITLES.get(method, method) if what == "fine" else None
             axis.bar(x, heights, 0.8 / len(methods), color=_COLORS.get(method), alpha=alpha, label=label)
     axis.set_xticks(range(len(places)), places, rotation=60, ha="right", fontsize=7.5)
     axis.set(ylabel="% of targets", ylim=(0, 104))

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imgu_ros.bench.figures import Figures
-from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING
+from imgu_ros.bench.lineup import ORB, SIFT, TITLES
 from imgu_ros.bench.memory import PeakMemory
 from imgu_ros.bench.suites import ABSENT, SEQUENCE, Growth, Row
 from imgu_ros.simulate.conditions import PLAIN
 
-_NAMES = {TRACKING: "ours, tracking", DETECTION: "ours, detecting", ORB: "ORB recipe", SIFT: "SIFT recipe"}
 _HEAD = (
     "method", "ms", "p95 ms", "cpu ms", "ORB / it", "SIFT / it", "corner p50 px", "p95 px", "found", "<= 1 px", "false",
     "rotation deg", "position %", "NEES p50",
@@ -38,7 +37,7 @@ def tables(rows: Sequence[Row], markdown: bool = False) -> str:
     peaks = [row for row in rows if isinstance(row, PeakMemory)]
     if peaks:
         lines: list[tuple[str, ...]] = [("size", "method", "peak MB", "imports MB")]
-        lines += [(p.size, _NAMES.get(p.method, p.method), f"{p.peak_mb:.0f}", f"{p.imports_mb:.0f}") for p in peaks]
+        lines += [(p.size, TITLES.get(p.method, p.method), f"{p.peak_mb:.0f}", f"{p.imports_mb:.0f}") for p in peaks]
         parts.append(_titled("Peak memory of a process with one method", _table(lines, markdown), markdown))
     growths = [row for row in rows if isinstance(row, Growth)]
     if growths:
@@ -89,7 +88,7 @@ def _lines(group: _Group) -> list[tuple[str, ...]]:
 
 def _cells(row: Figures, beside: dict[str, Figures]) -> tuple[str, ...]:
     return (
-        _NAMES.get(row.method, row.method),
+        TITLES.get(row.method, row.method),
         _number(row.median_ms, 1),
         _number(row.p95_ms, 1),
         _number(row.cpu_ms, 1),
@@ -111,7 +110,7 @@ def _stage_lines(rows: Sequence[Figures]) -> list[tuple[str, ...]]:
     lines: list[tuple[str, ...]] = [("size", "frames", "method", *stages)]
     for row in rows:
         times = (_number(row.stages_ms.get(stage), 2) for stage in stages)
-        lines.append((row.size, row.kind, _NAMES.get(row.method, row.method), *times))
+        lines.append((row.size, row.kind, TITLES.get(row.method, row.method), *times))
     return lines
 
 
