@@ -234,7 +234,10 @@ def _sheet(
 ) -> Sheet | None:
     """Return the squares of the picture that hold the patches; None when that saves little."""
     height, width = shape
-    by_centre = np.abs(local_jacobian(picture_from_bank, centres)).sum(axis=2).max()
+    # A homography enlarges most at a corner of what holds all centres.
+    (left, top), (right, bottom) = centres.min(axis=0), centres.max(axis=0)
+    corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    by_centre = np.abs(local_jacobian(picture_from_bank, corners)).sum(axis=2).max()
     stretch = 1.0 if camera is None else _MOST_STRETCHED
     side = 2 * math.ceil(float(by_centre) * stretch * (window_px // 2) + _SHEET_ROOM_PX)
     too_large = len(centres) * side**2 > _SHEET_SHARE * height * width or len(centres) * side > TALLEST_PX

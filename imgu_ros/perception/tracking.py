@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,30 +39,36 @@ class Sighting:
     stamp_ns: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """The last sighting of a target, the one in the frame before if there was one, and how wrong the prediction was.
 
-    Attributes
+    Parameters
     ----------
-    last, before : sightings
+    last, before : sightings; None: nothing was known before
     surprise_px : largest distance of the outline's corners from where the motion led; None: no motion was known
     """
 
-    last: Sighting
-    before: Sighting | None = None
-    surprise_px: float | None = None
+    def __init__(self, last: Sighting, before: Sighting | None = None, surprise_px: float | None = None) -> None:
+        self.last = last
+        self.before = before
+        self.surprise_px = surprise_px
+        self._prediction: Sighting | None = None
 
     def continued(self, target: Target, H: Matrix3, stamp_ns: int) -> Track:
         """Return the track with one more sighting."""
         if self.before is None:
             return Track(Sighting(H, stamp_ns), self.last)
         predicted = transform(self.predicted(target, stamp_ns), target.outline_template)
-        away = np.hypot(*(transform(H, target.outline_template) - predicted).T)
-        return Track(Sighting(H, stamp_ns), self.last, float(away.max()))
+        away = transform(H, target.outline_template) - predicted
+        return Track(Sighting(H, stamp_ns), self.last, math.sqrt(float((away**2).sum(axis=1).max())))
 
     def predicted(self, target: Target, stamp_ns: int) -> Matrix3:
         """Return where the target is expected: moved on by the last motion of the image, H1 H0^-1 H1."""
+        if self._prediction is None or self._prediction.stamp_ns != stamp_ns:
+            self._prediction = Sighting(self._led_on(target, stamp_ns), stamp_ns)
+        return self._prediction.H
+
+    def _led_on(self, target: Target, stamp_ns: int) -> Matrix3:
         last, before = self.last, self.before
         if before is None or last.stamp_ns <= before.stamp_ns:
             return last.H

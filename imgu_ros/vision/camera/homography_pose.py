@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.types import Floats, Matrix3, as_matrix
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, same_pose
+from imgu_ros.vision.camera.ippe import poses_about_point
+from imgu_ros.vision.camera.planar_pose import PlanarPoses, same_pose
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
@@ -48,12 +49,12 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     problem = _PoseOfHomography(homography, K, src_from_plane)
     refined: list[Pose] = []
     refuted_px = math.inf
-    # The corners of a square of moderate size stand for the points.
-    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    plane_xy = _mapped(np.linalg.solve(homography.T_src @ src_from_plane, np.eye(3)), square)
-    normalized = _mapped(np.linalg.solve(homography.T_dst @ K, homography.scaled), square)
-    # OpenCV gives the better start first: most second ones need no refinement to be told wrong.
-    for start in planar_pose_starts(plane_xy, normalized):
+    # In the middle of the points the two poses are nearest to the best ones.
+    plane_from_points = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
+    normalised_from_plane = np.linalg.solve(homography.T_dst @ K, homography.scaled @ homography.T_src @ src_from_plane)
+    starts = poses_about_point(normalised_from_plane, plane_from_points[:2, 2] / plane_from_points[2, 2])
+    # The better start first: most second ones need no refinement to be told wrong.
+    for start in sorted(starts, key=problem.start_px):
         try:
             if refined:
                 start_px = problem.rms_px(start.matrix)
@@ -80,7 +81,8 @@ class _PoseOfHomography:
         h = homography.scaled.ravel()
         # H = A [r1 r2 t] M^-1, so that vec H = (A x M^-T) vec [r1 r2 t], row-major.
         M_inverse = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
-        by_pose = np.kron(homography.T_dst @ K, M_inverse.T)
+        A = homography.T_dst @ K
+        by_pose = (A[:, None, :, None] * M_inverse.T[None, :, None, :]).reshape(9, 9)
         self._across = tangent_basis(homography.scaled).T @ by_pose
         self._along = h @ by_pose
         try:
@@ -113,6 +115,13 @@ class _PoseOfHomography:
         moved[:3, 3] = estimate[:3, 3] + delta[:3]
         return moved
 
+    def start_px(self, start: RigidTransform) -> float:
+        """Return the points' root mean square residual under a pose; infinite where it is none."""
+        try:
+            return self.rms_px(start.matrix)
+        except EstimationError:
+            return math.inf
+
     def rms_px(self, estimate: Floats) -> float:
         """Return the points' root mean square residual under a pose, per coordinate."""
         residuals = self._whitening @ self._delta(estimate)[0]
@@ -143,13 +152,6 @@ class _PoseOfHomography:
         if not scale > 0:
             raise DegenerateConfiguration("pose: the plane is behind the camera; need it in front")
         return self._across @ columns / scale, scale
-
-
-def _mapped(H: Matrix3, points: Floats) -> Floats:
-    at = points @ H[:, :2].T + H[:, 2]
-    if not at[:, 2].min() * at[:, 2].max() > 0:
-        raise DegenerateConfiguration("H: its points are seen across the horizon; need one side of the plane")
-    return np.asarray(at[:, :2] / at[:, 2:])
 
 
 def _inverse(matrix: Floats, name: str) -> Floats:

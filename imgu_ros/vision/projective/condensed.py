@@ -108,8 +108,9 @@ def condensed_homography(
     if count == len(kept):
         sums = motions.sums(correlation)
     else:
-        by, moved = by[kept], moved[kept]
-        sums = motion_sums(by, None if correlation is None else correlation[np.ix_(kept, kept)])
+        # What is left out becomes zero: cheaper than to pick the others out of all pairs.
+        by, moved = by * kept[:, None, None], moved * kept[:, None]
+        sums = motion_sums(by, correlation)
     rows = by.reshape(-1, 8)
     inverse = _inverse(sums.normal)
     motion = inverse @ (rows.T @ moved.ravel())

@@ -105,11 +105,11 @@ def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
     >>> faces_camera(H, [[0, 0], [0, 50]]), faces_camera(H, [[0, 0], [0, -200]])
     (True, False)
     """
-    H = normalised_homography(H)
+    third = normalised_homography(H)[2]
     points = as_points(points)
     # Coordinates may be as large as floats are: an overflow keeps the sign.
     with np.errstate(over="ignore", invalid="ignore"):
-        return bool((points @ H[2, :2] + H[2, 2] > 0).all())
+        return bool((points @ third[:2] + third[2] > 0).all())
 
 
 def _mapped(H: Matrix3, points: Points) -> tuple[Points, Floats]:
