@@ -35,10 +35,10 @@ def poses_about_point(H: ArrayLike, point: ArrayLike) -> tuple[RigidTransform, R
 
     Examples
     --------
-    A plane one metre ahead, seen straight on: both poses are the same.
+    A plane one metre ahead, seen straight on; about a point off the axis it could also be tilted the other way:
 
-    >>> first, second = poses_about_point(np.eye(3), [0.1, 0.2])
-    >>> (first.t.round(9) + 0.0).tolist(), bool(np.allclose(first.R, second.R))
+    >>> first, second = poses_about_point(np.eye(3), [0.0, 0.0])
+    >>> (first.t.round(9) + 0.0).tolist(), bool(np.allclose(first.R, np.eye(3)) and np.allclose(second.R, np.eye(3)))
     ([0.0, 0.0, 1.0], True)
     """
     H, point = as_matrix(H, (3, 3), "H"), as_matrix(point, (2,), "point")
