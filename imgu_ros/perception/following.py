@@ -25,7 +25,7 @@ _FARTHEST_SHARE = 0.5
 _FEWEST_AT_FIRST = 6
 #: Patches of the first rounds, and by how little they move when the others join, px of the picture.
 _SCOUTS = 60
-_SCOUTED_PX = 1.2
+_SCOUTED_PX = 0.3
 #: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
 _SHEET_ROOM_PX = 6
 #: A sheet larger than this share of the frame saves nothing.
