@@ -27,7 +27,7 @@ _FEWEST_AT_FIRST = 6
 _SCOUTS = 60
 _SCOUTED_PX = 0.3
 #: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
-_SHEET_ROOM_PX = 6
+_SHEET_ROOM_PX = 4
 #: A sheet larger than this share of the frame saves nothing.
 _SHEET_SHARE = 0.4
 #: By how much a lens may enlarge patches.

@@ -25,7 +25,7 @@ from imgu_ros.vision.projective.refine import tangent_basis
 #: A second solution is refuted when it starts with this many times the first one's error.
 _REFUTED = 5.0
 #: Of a parameter's standard deviation at 1 px noise: a step this small is followed by one of its square.
-_TOLERANCE = 1e-3
+_TOLERANCE = 1e-2
 
 
 def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_from_src: ArrayLike) -> PlanarPoses:
