@@ -264,7 +264,7 @@ class HomographyParameters:
     confidence: float = parameter(
         0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999
     )
-    max_iterations: int = parameter(2000, "Most samples drawn.", minimum=1, maximum=1_000_000)
+    max_iterations: int = parameter(1000, "Most samples drawn.", minimum=1, maximum=1_000_000)
     min_inliers: int = parameter(8, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
     error: str = parameter(
         "sampson",

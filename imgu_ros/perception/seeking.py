@@ -24,7 +24,9 @@ from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 _DIRECT = 3
 #: Failures after which the less likely targets are left.
 _FAILURES = 3
-_FEWEST_VOTES = 4
+#: Votes without which a target is not looked for: in a first look, and thoroughly.
+_FEWEST_VOTES = 3
+_FEWEST_THOROUGH_VOTES = 5
 #: What is known to be covered is drawn at an eighth of the resolution.
 _MASK_STEP = 8
 
@@ -74,15 +76,14 @@ class Seeker:
     ) -> Iterator[TargetResult]:
         """Yield what became of the missing targets that were looked for.
 
-        Those that a first look does not find are looked for thoroughly when no target at all was found, or when they
-        are few.
+        Those that a first look does not find are looked for thoroughly.
 
         Parameters
         ----------
         view : the frame
         missing : indices of targets
         clock : takes the time of the stages
-        although_tracked : look thoroughly for a few missing targets although others were found before this search
+        although_tracked : look thoroughly also when others were found before this search
         """
         left: dict[int, TargetResult | None] = dict.fromkeys(missing)
         covered = list(view.covered)
@@ -91,8 +92,7 @@ class Seeker:
             if result.outline is not None:
                 covered.append(result.outline)
                 yield left.pop(result.index) or result
-        few = len(left) <= _DIRECT and (although_tracked or not view.covered)
-        if self._parameters.search.thorough and left and (few or not covered):
+        if self._parameters.search.thorough and left and (although_tracked or not view.covered):
             features = find_features(view.pictures, thoroughly(self._parameters), clock)
             again = View(view.frame, view.pictures, features, covered)
             for result in self._search(again, features, tuple(left), clock, thorough=True):
@@ -105,7 +105,7 @@ class Seeker:
         features = _uncovered(view, features)
         searched = Searched(view.frame, view.pictures, features, thorough)
         with clock.measures(Stage.MATCH):
-            likely = self._likely(features.described, missing)
+            likely = self._likely(features.described, missing, _FEWEST_THOROUGH_VOTES if thorough else _FEWEST_VOTES)
         failures = 0
         for index in likely:
             # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
@@ -116,14 +116,14 @@ class Seeker:
             if failures >= _FAILURES:
                 break
 
-    def _likely(self, described: Descriptions, missing: Sequence[int]) -> Sequence[int]:
+    def _likely(self, described: Descriptions, missing: Sequence[int], fewest: int) -> Sequence[int]:
         """Return the missing targets that are worth a search, the most likely first."""
         if self._index is None or len(missing) <= _DIRECT:
             return missing
         candidates = np.array(missing)
         votes = self._index.votes(described.descriptors)[candidates]
         order = np.argsort(-votes, kind="stable")
-        return [int(index) for index in candidates[order[votes[order] >= _FEWEST_VOTES]]]
+        return [int(index) for index in candidates[order[votes[order] >= fewest]]]
 
 
 def _uncovered(view: View, features: Features) -> Features:
