@@ -13,7 +13,8 @@ from imgu_ros.perception.targets import Target
 from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points
 from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.matching.alignment import LocalBend, PatchBank, Patches
+from imgu_ros.vision.matching.alignment import LocalBend, Patches
+from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.matching.sheet import TALLEST_PX, Sheet
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.increments import Motion

@@ -15,7 +15,7 @@ from imgu_ros.perception.develop import grey_of
 from imgu_ros.perception.target_features import TargetFeatures, ThoroughFeatures, target_features
 from imgu_ros.types import Image, Matrix3, Points
 from imgu_ros.vision.keypoints.spreading import spread
-from imgu_ros.vision.matching.alignment import PatchBank
+from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
 
 _CORNER_QUALITY = 0.005

@@ -15,20 +15,25 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_points
+from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_matrix
 from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.matching.sheet import Sheet
 from imgu_ros.vision.projective.increments import PlaneMotion
 
-#: Smallest eigenvalue of a patch's normal matrix, scaled to a unit diagonal: below, it is flat or one straight edge.
-_WEAKEST = 1e-3
 #: Grey levels (standard deviation) below which a patch has no contrast.
-_FLAT = 0.5
-#: Coordinates beyond this are no places in a picture; `remap` takes 16-bit ones.
+FLAT = 0.5
+#: Coordinates beyond this are no places in a picture; `remap` takes 16-bit ones, and pictures of no more pixels.
 _FARTHEST = 30000.0
+LONGEST_PX = 32000
+#: The third coordinate of a patch's centre, H scaled so that its largest number is 1: below, it lies at infinity.
+_NEAREST = 1e-12
+#: Grey levels of float pictures are smaller: their squares are floats.
+_BRIGHTEST = 1e9
+#: Coordinates as large as this come from a lens model that has lost its way.
+_BEYOND = 1e15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,96 +53,25 @@ class Displacements:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalBend:
-    """How a lens bends the plane of the picture about N points; (N, 2), (N, 2) px and (N, 2, 2)."""
+    """How a lens bends the plane of the picture about N points.
+
+    Attributes
+    ----------
+    straight : (N, 2) px, the points as they would be seen without a lens
+    bent : (N, 2) px, as they are seen
+    by_straight : (N, 2, 2) derivative of `bent`
+    """
 
     straight: Points
     bent: Points
     by_straight: Floats
 
 
-class PatchBank:
-    """Square patches of a picture, each made ready for comparison when it is first asked for.
-
-    Parameters
-    ----------
-    image : (H, W) uint8, uint16 or float32
-    centres : (N, 2) px, rounded to whole pixels; those too near the border for a patch are left out
-    window_px : side of a patch, odd, at least 5
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPatches:
+    """N patches with what does not depend on the picture that they are compared with.
 
     Attributes
-    ----------
-    centres : (M, 2) px, of the patches that fit
-    window_px : side of a patch
-
-    Raises
-    ------
-    ShapeError
-        If the image or the centres are not as said, or the window is even or smaller than 5.
-    """
-
-    def __init__(self, image: Image, centres: ArrayLike, window_px: int) -> None:
-        if window_px < 5 or window_px % 2 == 0:
-            raise ShapeError(f"window_px: {window_px!r}; need an odd number, at least 5")
-        self._image = as_image(image)
-        height, width = self._image.shape
-        # One pixel more on each side, for the derivative.
-        rim = window_px // 2 + 1
-        whole = np.rint(as_points(centres, "centres"))
-        fits = (whole >= rim).all(axis=1) & (whole < np.array((width, height)) - rim).all(axis=1)
-        self.centres: Points = np.ascontiguousarray(whole[fits])
-        self.window_px = window_px
-        count, area = len(self.centres), window_px**2
-        self._solvers = np.empty((count, 4, area), np.float32)
-        self._contrast = np.zeros(count, np.float32)
-        self._ready = np.zeros(count, bool)
-        self._last: Patches | None = None
-
-    def select(self, chosen: Indices) -> Patches:
-        """Return some patches, (N,) their indices, ready for comparison; the same ones again cost nothing."""
-        if self._last is None or not np.array_equal(self._last.chosen, chosen):
-            self._prepare(chosen)
-            self._last = Patches(
-                chosen, self.centres[chosen], self.window_px, self._solvers[chosen], self._contrast[chosen]
-            )
-        return self._last
-
-    def _prepare(self, chosen: Indices) -> None:
-        missing = chosen[~self._ready[chosen]]
-        if not len(missing):
-            return
-        area = self.window_px**2
-        rim = self.window_px // 2 + 1
-        side = self.window_px + 2
-        corner = self.centres[missing].astype(np.intp) - rim
-        views = np.lib.stride_tricks.sliding_window_view(self._image, (side, side))
-        patches = views[corner[:, 1], corner[:, 0]].astype(np.float64)
-        columns = np.stack(
-            (
-                patches[:, 1:-1, 1:-1].reshape(-1, area),
-                ((patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2]) / 2).reshape(-1, area),
-                ((patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1]) / 2).reshape(-1, area),
-            ),
-            axis=2,
-        )
-        # Without their means the columns know nothing of the offset: it need not be solved for.
-        columns -= columns.mean(axis=1, keepdims=True)
-        norms = np.sqrt((columns**2).sum(axis=1))
-        textured = norms[:, 0] > _FLAT * self.window_px
-        safe = np.where(norms > 0, norms, 1.0)
-        unit = columns / safe[:, None, :]
-        normal = unit.transpose(0, 2, 1) @ unit
-        textured &= np.linalg.eigvalsh(normal)[:, 0] > _WEAKEST
-        normal[~textured] = np.eye(3)
-        self._solvers[missing, :3] = np.linalg.solve(normal, unit.transpose(0, 2, 1)) / safe[:, :, None]
-        self._solvers[missing, 3] = 1 / area
-        self._contrast[missing] = np.where(textured, norms[:, 0], 0.0)
-        self._ready[missing] = True
-
-
-class Patches:
-    """Some of a bank's patches; not for several threads at once, as the room for intermediate results is kept.
-
-    Parameters
     ----------
     chosen : (N,) their indices
     centres : (N, 2) px
@@ -146,29 +80,41 @@ class Patches:
     contrast : (N,) norm of the patch without its mean; 0 where it cannot be compared
     """
 
-    def __len__(self) -> int:
-        return len(self.chosen)
+    chosen: Indices
+    centres: Points
+    window_px: int
+    solvers: NDArray[np.float32]
+    contrast: NDArray[np.float32]
 
-    def __init__(
-        self,
-        chosen: Indices,
-        centres: Points,
-        window_px: int,
-        solvers: NDArray[np.float32],
-        contrast: NDArray[np.float32],
-    ) -> None:
-        self.chosen = chosen
-        self.centres = centres
-        self._side = window_px
-        self._area = window_px**2
+
+class Patches:
+    """Some of a bank's patches, from `PatchBank.select`.
+
+    Not for several threads at once, as the room for intermediate results is kept.
+
+    Attributes
+    ----------
+    chosen : (N,) their indices in the bank
+    centres : (N, 2) px
+    """
+
+    def __init__(self, prepared: PreparedPatches) -> None:
+        self.chosen = prepared.chosen
+        self.centres = prepared.centres
+        self._side = prepared.window_px
+        self._area = prepared.window_px**2
         self._overlap: Floats | None = None
         self._motions: dict[bool, PlaneMotion] = {}
-        self._solvers = solvers
-        self._contrast = contrast
-        offset = np.arange(-(window_px // 2), window_px // 2 + 1, dtype=np.float32)
+        self._solvers = prepared.solvers
+        self._contrast = prepared.contrast
+        half = prepared.window_px // 2
+        offset = np.arange(-half, half + 1, dtype=np.float32)
         self._x, self._y = (np.ascontiguousarray(grid.ravel()) for grid in np.meshgrid(offset, offset))
-        self._places = np.empty((3, len(chosen), self._area), np.float32)
-        self._seen = np.empty((len(chosen), self._area), np.float32)
+        self._places = np.empty((3, len(self.chosen), self._area), np.float32)
+        self._seen = np.empty((len(self.chosen), self._area), np.float32)
+
+    def __len__(self) -> int:
+        return len(self.chosen)
 
     def sampled(
         self,
@@ -196,12 +142,27 @@ class Patches:
         ------
         DegenerateConfiguration
             If H maps a centre to infinity.
+        ShapeError
+            If the picture, H, the bend or the sheet are not as said, or there are fewer patches than `first`.
         """
-        at = self.centres[:first] @ H[:, :2].T + H[:, 2]
-        if not len(at):
+        picture = as_grey(picture, "picture")
+        H = as_matrix(H, (3, 3), "H")
+        if first is None:
+            first = len(self.chosen)
+        elif not 0 <= first <= len(self.chosen):
+            raise ShapeError(f"first: {first}; need 0 to {len(self.chosen)}")
+        if sheet is not None and (len(sheet.origins) < first or picture.shape[1] != sheet.side):
+            raise ShapeError(
+                f"sheet: {len(sheet.origins)} squares of {sheet.side} px, picture {picture.shape}; "
+                f"need at least {first}, of its width"
+            )
+        if not first:
             return np.zeros((0, self._area), picture.dtype)
+        # Its largest number may be as large or small as floats are.
+        H = H / (float(np.abs(H).max()) or 1.0)
+        at = self.centres[:first] @ H[:, :2].T + H[:, 2]
         scale = float(at[:, 2].mean())
-        if not scale > 0 or not at[:, 2].min() > 1e-6 * scale:
+        if not scale > _NEAREST or not at[:, 2].min() > 1e-6 * scale:
             raise DegenerateConfiguration("H: a patch would lie behind the camera; need all in front")
         x, y, w = self._places[:, :first]
         single = (H / scale).astype(np.float32)
@@ -215,7 +176,8 @@ class Patches:
         if bend is not None:
             _bend(x, y, bend)
         if sheet is not None:
-            sheet.move(x, y)
+            x += sheet.shift[:first, 0, None]
+            y += sheet.shift[:first, 1, None]
         np.clip(x, -_FARTHEST, _FARTHEST, out=x)
         np.clip(y, -_FARTHEST, _FARTHEST, out=y)
         return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -234,23 +196,64 @@ class Patches:
         return self._motions[affine]
 
     def displacements(self, samples: Image) -> Displacements:
-        """Compare the patches with samples, (N, window_px^2), that `sampled` took for them, or for the first N."""
+        """Compare the patches with samples of another picture.
+
+        Parameters
+        ----------
+        samples : (N, window_px^2) uint8, uint16 or float32, that `sampled` took for all patches, or for the first N
+
+        Raises
+        ------
+        ShapeError
+            If they are not as said.
+        """
+        if not isinstance(samples, np.ndarray) or samples.ndim != 2 or samples.shape[1] != self._area:
+            raise ShapeError(f"samples: {getattr(samples, 'shape', type(samples).__name__)}; need (N, {self._area})")
         first = len(samples)
-        if first > len(self._seen) or samples.shape[1:] != self._seen.shape[1:]:
+        if first > len(self._seen):
             raise ShapeError(f"samples: shape {samples.shape}; need at most {self._seen.shape}")
+        if first:
+            samples = as_grey(samples, "samples")
         seen, contrast = self._seen[:first], self._contrast[:first]
         np.copyto(seen, samples)
         gain, a_dx, a_dy, mean = (self._solvers[:first] @ seen[:, :, None])[:, :, 0].T
         variance = np.einsum("np,np->n", seen, seen) - self._area * mean**2
-        usable = (variance > self._area * _FLAT**2) & (contrast > 0) & (np.abs(gain) * contrast > 1e-3)
+        usable = (variance > self._area * FLAT**2) & (contrast > 0) & (np.abs(gain) * contrast > 1e-3)
         inverse = usable / np.where(usable, gain, 1.0)
         xy = np.stack((a_dx * inverse, a_dy * inverse), axis=1).astype(np.float64)
         similarity = usable * gain * contrast / np.sqrt(np.where(usable, variance, 1.0))
         return Displacements(xy, np.clip(similarity, -1.0, 1.0).astype(np.float64))
 
 
+def as_grey(image: Image, name: str) -> Image:
+    """Return an image that OpenCV can sample, its squares floats: (H, W) uint8, uint16 or float32.
+
+    Raises
+    ------
+    ShapeError
+        If it is another array, or larger; `name` is what the error calls it.
+    """
+    image = as_image(image, name)
+    if max(image.shape) > LONGEST_PX:
+        raise ShapeError(f"{name}: shape {image.shape}; need at most {LONGEST_PX} px a side")
+    if image.dtype.kind == "f" and not np.abs(image).max() < _BRIGHTEST:
+        raise ShapeError(f"{name}: up to {np.abs(image).max():g}; need less than {_BRIGHTEST:g}")
+    return image
+
+
 def _bend(x: NDArray[np.float32], y: NDArray[np.float32], bend: LocalBend) -> None:
-    """Bend places about their centres, in place."""
+    """Bend places about their centres, in place.
+
+    Raises
+    ------
+    ShapeError
+        If `bend` is of another number of points, or not finite.
+    """
+    shapes = (bend.straight.shape, bend.bent.shape, bend.by_straight.shape)
+    if shapes != ((len(x), 2), (len(x), 2), (len(x), 2, 2)):
+        raise ShapeError(f"bend: shapes {shapes}; need those of {len(x)} points")
+    if not all(np.abs(a).max() < _BEYOND for a in (bend.straight, bend.bent, bend.by_straight)):
+        raise ShapeError("bend: numbers that are not finite, or too large; need places in a picture")
     straight, bent, by = (a.astype(np.float32) for a in (bend.straight, bend.bent, bend.by_straight))
     x -= straight[:, 0, None]
     y -= straight[:, 1, None]

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, as_points
+from imgu_ros.types import IMAGE_DTYPES, Image, as_points
 
 #: OpenCV's maps hold 16-bit places.
 TALLEST_PX = 32000
+_DTYPES = tuple(np.dtype(d) for d in IMAGE_DTYPES)
 
 
 class Sheet:
@@ -23,11 +24,22 @@ class Sheet:
     Attributes
     ----------
     origins, side : as given
+    shift : (N, 2) px, float32: what to add to coordinates on the picture, near a square, to have those on the sheet;
+        what lies outside its square comes to lie in another one, or outside
 
     Raises
     ------
     ShapeError
-        If there is no square, an origin is negative or no whole number, or the side is smaller than 4.
+        If there is no square, an origin is negative or no whole number, the side is smaller than 4, or the sheet would
+        be taller than OpenCV's maps allow.
+
+    Examples
+    --------
+    >>> sheet = Sheet([[2, 0], [6, 2]], 4)
+    >>> sheet.cut(np.arange(80, dtype=np.uint8).reshape(8, 10))[4].tolist()
+    [26, 27, 28, 29]
+    >>> ([7, 3] + sheet.shift[1]).tolist()
+    [1.0, 5.0]
     """
 
     def __init__(self, origins: ArrayLike, side: int) -> None:
@@ -40,8 +52,8 @@ class Sheet:
             raise ShapeError(f"origins, side: {len(corners)} squares of {side} px; need at most {TALLEST_PX} px in all")
         self.origins = corners.astype(np.intp)
         self.side = side
-        self._shift = -self.origins.astype(np.float32)
-        self._shift[:, 1] += np.arange(0, len(corners) * side, side, dtype=np.float32)
+        self.shift: NDArray[np.float32] = -self.origins.astype(np.float32)
+        self.shift[:, 1] += np.arange(0, len(corners) * side, side, dtype=np.float32)
 
     def cut(self, picture: Image) -> Image:
         """Return the sheet of a picture (H, W), (N * side, side).
@@ -49,8 +61,11 @@ class Sheet:
         Raises
         ------
         ShapeError
-            If a square reaches beyond the picture.
+            If it is no picture, a square reaches beyond it, or what a square holds is not finite.
         """
+        if not isinstance(picture, np.ndarray) or picture.dtype.newbyteorder("=") not in _DTYPES:
+            kind = getattr(picture, "dtype", type(picture).__name__)
+            raise ShapeError(f"picture: {kind}; need an array of uint8, uint16 or float32")
         if picture.ndim != 2 or (self.origins.max(axis=0) + self.side > picture.shape[::-1]).any():
             raise ShapeError(f"picture: shape {picture.shape}; need (H, W) that holds every square")
         height, width = picture.shape
@@ -62,12 +77,6 @@ class Sheet:
             writeable=False,
         )
         cut: Image = squares[self.origins[:, 1], self.origins[:, 0]]
+        if cut.dtype.kind == "f" and not np.isfinite(cut).all():
+            raise ShapeError("picture: values that are not finite; need finite ones")
         return cut.reshape(-1, self.side)
-
-    def move(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> None:
-        """Turn coordinates on the picture, (N, M) each, a row for each of the first squares, into those on the sheet.
-
-        It is done in place. What lies outside its square comes to lie in another one, or outside.
-        """
-        x += self._shift[: len(x), 0, None]
-        y += self._shift[: len(y), 1, None]

@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.vision.matching.alignment import LocalBend, PatchBank
+from imgu_ros.vision.matching.alignment import LocalBend
+from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.matching.sheet import Sheet
 from imgu_ros.vision.projective.transform import transform
 
