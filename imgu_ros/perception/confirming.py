@@ -8,6 +8,7 @@ cell by cell, as far as it is in view.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -18,17 +19,34 @@ from imgu_ros.perception.targets import Target
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 
-#: Cells along the longer side of what is in view, and samples along each side of a cell. Small cells: what covers a
-#: part of a cell spoils all of it.
-_CELLS, _SAMPLES = 16, 8
-#: Correlation (ncc) from which on a cell looks as it should.
-_ALIKE = 0.7
 #: Standard deviation of a target's cell, grey values, below which it says nothing.
 _FLAT = 4.0
-_FEWEST_CELLS = 12
-#: Of the cells in view, the share that must look as they should. Where 60 % of a target is covered 33 to 40 % do; where
-#: another picture shares the upper 30 % of it, up to 28 %.
-_NEEDED_SHARE = 0.29
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A way to compare a target with a frame, cell by cell.
+
+    Attributes
+    ----------
+    cells, samples : cells along the longer side of what is in view, samples along each side of a cell
+    alike : correlation (ncc) from which on a cell looks as it should
+    fewest : cells in view without which nothing can be said
+    needed : share of the cells in view that must look as they should
+    """
+
+    cells: int
+    samples: int
+    alike: float
+    fewest: int
+    needed: float
+
+
+#: Small cells, as what covers a part of a cell spoils all of it. Where 60 % of a target is covered 0.33 to 0.40 look as
+#: they should; where another picture shares the upper 30 % of it, up to 0.31.
+FINE = Comparison(cells=32, samples=5, alike=0.75, fewest=24, needed=0.325)
+#: Large ones still correlate in a blurred frame.
+COARSE = Comparison(cells=16, samples=8, alike=0.6, fewest=12, needed=0.45)
 
 
 def require_confirmed(pictures: Pictures, target: Target, H: Matrix3, camera: Camera | None) -> None:
@@ -42,33 +60,38 @@ def require_confirmed(pictures: Pictures, target: Target, H: Matrix3, camera: Ca
     camera : intrinsics when the lens distorts; else None
     """
     share = confirmed_share(pictures, target, H, camera)
-    if share < _NEEDED_SHARE:
-        raise NoConsensus(f"target: {share:.0%} of what is in view looks as it should; need {_NEEDED_SHARE:.0%}")
+    if share < FINE.needed and confirmed_share(pictures, target, H, camera, COARSE) < COARSE.needed:
+        raise NoConsensus(f"target: {share:.0%} of what is in view looks as it should; need {FINE.needed:.0%}")
 
 
-def confirmed_share(pictures: Pictures, target: Target, H: Matrix3, camera: Camera | None) -> float:
+def confirmed_share(
+    pictures: Pictures, target: Target, H: Matrix3, camera: Camera | None, comparison: Comparison = FINE
+) -> float:
     """Return the share of a target's cells in view that the frame shows, 0 to 1; 0 where too few are in view.
 
     Parameters
     ----------
     pictures, target, H, camera : as for `require_confirmed`
+    comparison : how
     """
     width, height = target.size
     window = _window_in_view(pictures, H, camera, width, height)
     if window is None:
         return 0.0
     extent = window[1] - window[0]
-    columns, rows = np.maximum(np.rint(extent * _CELLS / extent.max()).astype(int), 1).tolist()
-    size = columns * _SAMPLES, rows * _SAMPLES
+    n = comparison.samples
+    columns, rows = np.maximum(np.rint(extent * comparison.cells / extent.max()).astype(int), 1).tolist()
+    size = columns * n, rows * n
     step = extent / size
     # Template px from samples.
     A = np.array([[step[0], 0, window[0, 0] + step[0] / 2], [0, step[1], window[0, 1] + step[1] / 2], [0, 0, 1]])
-    x, y = (np.arange(count + 1) * _SAMPLES - 0.5 for count in (columns, rows))
+    x, y = (np.arange(count + 1) * n - 0.5 for count in (columns, rows))
     corners = _raw(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), H @ A, camera)
     inside = _inside(corners, pictures.shape).reshape(rows + 1, columns + 1)
     in_view = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
-    area = _median_area(corners.reshape(rows + 1, columns + 1, 2)) / _SAMPLES**2
-    return _alike(_drawn(target, A, size), _seen(pictures, H @ A, camera, size, area), in_view.ravel())
+    area = _median_area(corners.reshape(rows + 1, columns + 1, 2)) / n**2
+    seen = _seen(pictures, H @ A, camera, size, area)
+    return _alike(_drawn(target, A, size), seen, in_view.ravel(), comparison)
 
 
 def _window_in_view(pictures: Pictures, H: Matrix3, camera: Camera | None, width: int, height: int) -> Points | None:
@@ -127,20 +150,19 @@ def _seen(pictures: Pictures, H: Matrix3, camera: Camera | None, size: tuple[int
     return cv2.remap(picture, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _alike(drawn: Image, seen: Image, in_view: Mask) -> float:
-    a, b = _cells(drawn.astype(np.float32)), _cells(seen.astype(np.float32))
-    a -= a.mean(axis=1, keepdims=True)
-    b -= b.mean(axis=1, keepdims=True)
-    power_a, power_b = (a * a).sum(axis=1), (b * b).sum(axis=1)
+def _alike(drawn: Image, seen: Image, in_view: Mask, comparison: Comparison) -> float:
+    a, b = (_cells(picture.astype(np.float32), comparison.samples) for picture in (drawn, seen))
+    power_a, power_b = np.einsum("ij,ij->i", a, a), np.einsum("ij,ij->i", b, b)
     counted = (power_a >= _FLAT**2 * a.shape[1]) & in_view
-    if np.count_nonzero(counted) < _FEWEST_CELLS:
+    if np.count_nonzero(counted) < comparison.fewest:
         return 0.0
-    product = (a * b).sum(axis=1)
-    alike = (product > 0) & (product * product >= _ALIKE**2 * power_a * power_b) & (power_b > 0)
+    product = np.einsum("ij,ij->i", a, b)
+    alike = (product > 0) & (product * product >= comparison.alike**2 * power_a * power_b) & (power_b > 0)
     return float(np.count_nonzero(alike & counted) / np.count_nonzero(counted))
 
 
-def _cells(picture: Image) -> Image:
-    """Return the pixels of each cell in a row."""
-    rows, columns = picture.shape[0] // _SAMPLES, picture.shape[1] // _SAMPLES
-    return picture.reshape(rows, _SAMPLES, columns, _SAMPLES).swapaxes(1, 2).reshape(rows * columns, -1)
+def _cells(picture: Image, n: int) -> Image:
+    """Return the pixels of each cell of n x n, less their mean, in a row."""
+    rows, columns = picture.shape[0] // n, picture.shape[1] // n
+    cells = picture.reshape(rows, n, columns, n).swapaxes(1, 2).reshape(rows * columns, -1)
+    return cells - cells.mean(axis=1, keepdims=True)

@@ -11,6 +11,7 @@ from imgu_ros.types import Image
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.guided import guided_homography, match_guided
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
+from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import (
     checked_rows,
@@ -110,6 +111,8 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "src": numbers(rng, 4),
         "index": rng.integers(0, 5, 4),
     },
+    build_index: lambda rng: {"pictures": [bits(rng, 5), bits(rng, 4)], "seed": 1},
+    DescriptorIndex.votes: lambda rng: {"self": build_index([bits(rng, 9), bits(rng, 9)]), "rows": bits(rng, 4)},
     find_places: lambda rng: {"xy": places(rng, 9), "radius_px": 20.0},
     Places.at: lambda rng: {"self": find_places(places(rng, 9), 20.0), "points": rng.integers(0, 9, 4)},
     ssd: lambda rng: {"a": rng.uniform(size=(3, 4)), "b": rng.uniform(size=(3, 4))},
