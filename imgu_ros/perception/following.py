@@ -27,6 +27,8 @@ _FEWEST_AT_FIRST = 6
 #: Patches of the first rounds, and by how little they move when the others join, px of the picture.
 _SCOUTS = 60
 _SCOUTED_PX = 0.3
+#: A last round that moves a patch farther has not arrived anywhere, px of the picture.
+_SETTLED_PX = 0.5
 #: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
 _SHEET_ROOM_PX = 4
 #: A sheet larger than this share of the frame saves nothing.
@@ -51,6 +53,7 @@ class Followed:
     displacements : (N, 2) px of the bank, at `H_before`
     motion : what they make
     H_before : (3, 3) ideal px from the bank's px, without the motion
+    settled : whether the last round hardly moved a patch
     """
 
     H: Matrix3
@@ -61,6 +64,7 @@ class Followed:
     displacements: Points
     motion: Motion
     H_before: Matrix3
+    settled: bool
 
     def condensed(self, min_points: int) -> CondensedHomography:
         """Return H_image_template with its covariance, in ideal px, of the patches that are not improbably far off.
@@ -164,7 +168,8 @@ def follow_patches(
     if agreeing < effort.fewest:
         raise NoConsensus(f"patches: {agreeing} of {len(chosen)} agree; need {effort.fewest}")
     H = reduced.inverse @ picture_from_bank @ bank.bank_from_template
-    return Followed(H, len(chosen), agreeing, bank, patches, seen.xy, motion, reduced.inverse @ before)
+    settled = motion.largest_px < max(_SETTLED_PX, effort.enough_px)
+    return Followed(H, len(chosen), agreeing, bank, patches, seen.xy, motion, reduced.inverse @ before, settled)
 
 
 class Bank:

@@ -23,8 +23,9 @@ _REACH_PX = 3.0
 _COARSEST_SIDE_PX = 60
 #: Halvings from one picture to the next.
 _STRIDE = 2
-#: A picture halved more often is good for a start, not for a result.
+#: A picture halved more often is good for a start, not for a result; and of the patches in it this share must agree.
 _COARSEST_RESULT = 2
+_COARSE_SHARE = 0.5
 _COARSE_PATCHES = 80
 _COARSE_STEPS = 8
 _COARSE_ENOUGH_PX = 0.2
@@ -97,9 +98,16 @@ def refine_by_alignment(
             # What a reduced picture showed stands; where it showed nothing, a finer one may.
             if found is not None:
                 break
-    if found is None or (at > _COARSEST_RESULT and failure is not None):
+    if found is None or (failure is not None and not _stands_alone(found, at)):
         raise failure or NoConsensus("patches: not found")
+    if not found.settled:
+        raise NoConsensus(f"patches: they still move by {found.motion.largest_px:.2f} px; need a better start")
     return _fitted(found, at, camera, min_points)
+
+
+def _stands_alone(found: Followed, halvings: int) -> bool:
+    """Whether what a reduced picture showed can be a result: there, few patches agree by chance sooner."""
+    return halvings <= _COARSEST_RESULT and found.settled and found.agreeing >= _COARSE_SHARE * found.sought
 
 
 def _effort(parameters: RefinementParameters, min_points: int, halvings: int) -> Effort:

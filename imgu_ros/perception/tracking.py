@@ -9,6 +9,7 @@ import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.params import Parameters
+from imgu_ros.perception.confirming import require_confirmed
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, bending, require_plausible
 from imgu_ros.perception.refinement import Alignment, refine_by_alignment
@@ -20,7 +21,7 @@ from imgu_ros.vision.projective.transform import faces_camera, normalised_homogr
 
 #: Of the patches sought, the share that must agree for a track to hold.
 _HELD_SHARE = 0.25
-_HELD_RMS_PX = 1.0
+_HELD_RMS_PX = 0.5
 #: Between these quotients of two intervals the motion goes on as it was; else the target is looked for where it was.
 _STEADY = (0.5, 2.0)
 #: A prediction may be wrong by this many times as much as the one before it was, and by this much at least, raw px.
@@ -116,6 +117,9 @@ def follow(
             )
             _require_held(alignment)
             require_plausible(target, alignment.homography)
+            if alignment.halvings:
+                # Coarse patches agree by chance sooner: the whole target must look as it should.
+                require_confirmed(pictures, target, alignment.homography.H, lens)
         except EstimationError as error:
             reason = str(error)
         else:
