@@ -42,7 +42,23 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     Raises
     ------
     DegenerateConfiguration
-        If no pose in front of the camera explains it.
+        If no pose in front of the camera explains it, or a matrix is singular.
+    ShapeError
+        If K or plane_from_src is no (3, 3) of finite numbers.
+
+    Examples
+    --------
+    Points of a picture printed at a centimetre a pixel, two metres ahead and tilted by half a radian:
+
+    >>> from imgu_ros.vision.projective.condensed import condensed_homography
+    >>> from imgu_ros.vision.projective.increments import PlaneMotion
+    >>> K, plane_from_px, R = np.diag([500.0, 500, 1]), np.diag([0.01, 0.01, 1]), exp_so3([0.5, 0, 0])
+    >>> H = K @ np.column_stack((R[:, :2], [0, 0, 2])) @ plane_from_px
+    >>> motions, still = PlaneMotion([[-30, -30], [30, -30], [30, 30], [-30, 30], [10, 2], [-3, 9]]), np.zeros((6, 2))
+    >>> seen = condensed_homography(motions, still, motions.fit(still, np.ones(6, bool)), H, np.eye(3))
+    >>> best = poses_of_homography(seen, K, plane_from_px).solutions[0]
+    >>> (best.t.round(6) + 0.0).tolist(), bool(np.allclose(best.R, R))
+    ([0.0, 0.0, 2.0], True)
     """
     K = as_matrix(K, (3, 3), "K")
     src_from_plane = _inverse(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
@@ -51,7 +67,7 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     refuted_px = math.inf
     # In the middle of the points the two poses are nearest to the best ones.
     plane_from_points = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
-    normalised_from_plane = np.linalg.solve(homography.T_dst @ K, homography.scaled @ homography.T_src @ src_from_plane)
+    normalised_from_plane = _inverse(homography.T_dst @ K, "K") @ homography.scaled @ homography.T_src @ src_from_plane
     starts = poses_about_point(normalised_from_plane, plane_from_points[:2, 2] / plane_from_points[2, 2])
     # The better start first: most second ones need no refinement to be told wrong.
     for start in sorted(starts, key=problem.start_px):

@@ -87,7 +87,7 @@ def _pose(
 ) -> RigidTransform:
     (a, b, c), (d, e, f) = r1, r2
     R = view @ np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
-    # Where the third row is nearly 0, its root has half the digits: one step of Newton's method to the nearest rotation.
+    # Where the third row is nearly 0, its root has half the digits: a step of Newton's method to the nearest rotation.
     R = R @ (1.5 * np.eye(3) - 0.5 * (R.T @ R))
     return RigidTransform(R, at_point - x0 * R[:, 0] - y0 * R[:, 1])
 

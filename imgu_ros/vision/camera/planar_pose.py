@@ -151,6 +151,17 @@ def _rms(residuals: Floats) -> float:
 
 
 def same_pose(a: Pose, b: Pose) -> bool:
-    """Whether two refinements ended in the same minimum."""
+    """Whether two refinements ended in the same minimum.
+
+    Parameters
+    ----------
+    a, b : poses of the same plane; to 0.1 mrad and a ten thousandth of the distance they are to agree
+
+    Examples
+    --------
+    >>> a, b = (Pose(np.eye(3), np.array([0, 0, z]), np.eye(6), 0.1) for z in (1.0, 1.00001))
+    >>> same_pose(a, b)
+    True
+    """
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(a.R.T @ b.R)) - 1) / 2)))
     return angle < 1e-4 and float(np.linalg.norm(a.t - b.t)) < 1e-4 * float(np.linalg.norm(a.t))

@@ -249,15 +249,16 @@ def _bend(x: NDArray[np.float32], y: NDArray[np.float32], bend: LocalBend) -> No
     ShapeError
         If `bend` is of another number of points, or not finite.
     """
-    shapes = (bend.straight.shape, bend.bent.shape, bend.by_straight.shape)
-    if shapes != ((len(x), 2), (len(x), 2), (len(x), 2, 2)):
-        raise ShapeError(f"bend: shapes {shapes}; need those of {len(x)} points")
-    if not all(np.abs(a).max() < _BEYOND for a in (bend.straight, bend.bent, bend.by_straight)):
-        raise ShapeError("bend: numbers that are not finite, or too large; need places in a picture")
-    straight, bent, by = (a.astype(np.float32) for a in (bend.straight, bend.bent, bend.by_straight))
-    x -= straight[:, 0, None]
-    y -= straight[:, 1, None]
-    bent_x = bent[:, 0, None] + by[:, 0, 0, None] * x + by[:, 0, 1, None] * y
-    y *= by[:, 1, 1, None]
-    y += bent[:, 1, None] + by[:, 1, 0, None] * x
+    count = len(x)
+    straight, bent = as_matrix(bend.straight, (count, 2), "straight"), as_matrix(bend.bent, (count, 2), "bent")
+    by = as_matrix(bend.by_straight, (count, 2, 2), "by_straight")
+    if not all(np.abs(a).max() < _BEYOND for a in (straight, bent, by)):
+        raise ShapeError(f"bend: numbers of {_BEYOND:g} and more; need places in a picture")
+    # In single precision, as the places are.
+    start, end, slope = (a.astype(np.float32) for a in (straight, bent, by))
+    x -= start[:, 0, None]
+    y -= start[:, 1, None]
+    bent_x = end[:, 0, None] + slope[:, 0, 0, None] * x + slope[:, 0, 1, None] * y
+    y *= slope[:, 1, 1, None]
+    y += end[:, 1, None] + slope[:, 1, 0, None] * x
     x[:] = bent_x

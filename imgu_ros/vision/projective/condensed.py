@@ -22,6 +22,7 @@ _OUTLIER_SIGMAS = 3.6
 _FLOOR_PX = 0.02
 _WORST_CONDITION = 1e12
 _SMALLEST_AREA = 1e-12
+_LARGEST = 1e30
 #: The derivatives of I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]] by its parameters.
 _BY_PARAMETER = np.eye(9)[:8].reshape(8, 3, 3)
 
@@ -87,7 +88,19 @@ def condensed_homography(
     DegenerateConfiguration
         If the good ones do not determine a homography, or a matrix is singular.
     ShapeError
-        If the arrays do not fit each other.
+        If the arrays do not fit each other, or hold numbers that are not finite or too large.
+
+    Examples
+    --------
+    Points of a target's picture, half as large as the target itself, that are seen 1 px left of where they should be:
+
+    >>> points = np.array([[10, 10], [90, 12], [88, 70], [9, 72], [50, 40], [30, 60]])
+    >>> motions, displacements = PlaneMotion(points), np.tile([1.0, 0.0], (6, 1))
+    >>> start = motions.fit(displacements, np.ones(6, bool))
+    >>> found = condensed_homography(motions, displacements, start, np.eye(3), np.diag([0.5, 0.5, 1]))
+    >>> H = found.estimate.H / found.estimate.H[2, 2]
+    >>> (H.round(6) + 0.0).tolist()
+    [[0.5, 0.0, -1.0], [0.0, 0.5, 0.0], [0.0, 0.0, 1.0]]
     """
     displacements = as_points(displacements, "displacements")
     by, unit = motions.by_parameters, motions.unit_px
@@ -95,9 +108,9 @@ def condensed_homography(
         raise ShapeError(f"displacements: shape {displacements.shape}; need {by.shape[:2]}, of a projective motion")
     if min_points < 5:
         raise ShapeError(f"min_points: {min_points}; need at least 5")
-    H_dst_points, points_from_src = (
-        as_matrix(M, (3, 3), name) for M, name in ((H_dst_points, "H_dst_points"), (points_from_src, "points_from_src"))
-    )
+    H_dst_points, points_from_src = _plain(H_dst_points, "H_dst_points"), _plain(points_from_src, "points_from_src")
+    if displacements.size and not np.abs(displacements).max() < _LARGEST:
+        raise ShapeError(f"displacements: up to {np.abs(displacements).max():g}; need places in a picture")
     moved = displacements / unit
     away = moved - by @ start.parameters
     farthest = max(_OUTLIER_SIGMAS * start.sigma_px, _FLOOR_PX) / unit
@@ -136,6 +149,15 @@ def condensed_homography(
     rms_px = math.sqrt(squares / (2 * count)) / float(T_dst[0, 0])
     estimate = HomographyEstimate(estimated, (covariance + covariance.T) / 2, kept, rms_px, 0)
     return CondensedHomography(estimate, T_src, T_dst, scaled, normal, middle, squares, noise)
+
+
+def _plain(matrix: Matrix3, name: str) -> Matrix3:
+    """Return a matrix, checked, of which products and squares are floats."""
+    matrix = as_matrix(matrix, (3, 3), name)
+    largest = float(np.abs(matrix).max())
+    if not 1 / _LARGEST < largest < _LARGEST:
+        raise DegenerateConfiguration(f"{name}: up to {largest:g}; need {1 / _LARGEST:g} to {_LARGEST:g}")
+    return matrix
 
 
 def _unit_similarity(H: Matrix3, motions: PlaneMotion) -> Matrix3:

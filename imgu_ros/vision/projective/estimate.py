@@ -210,10 +210,15 @@ def _mapped(T: Matrix3, points: Points) -> Points:
 def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, Floats]:
     """Return the unit-norm H ~ T_dst^-1 scaled T_src, (3, 3), and its derivative (9, 9) by `scaled`, row-major.
 
+    Parameters
+    ----------
+    scaled : (3, 3) homography of coordinates of moderate size
+    T_src, T_dst : (3, 3) similarities that make them
+
     Raises
     ------
     DegenerateConfiguration
-        If T_dst is singular, or H zero.
+        If T_dst is singular, H zero, or the derivative beyond floats.
     """
     scaled, T_src, T_dst = (
         as_matrix(M, (3, 3), name) for M, name in ((scaled, "scaled"), (T_src, "T_src"), (T_dst, "T_dst"))
@@ -222,13 +227,17 @@ def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, 
         T_inverse = np.linalg.inv(T_dst)
     except np.linalg.LinAlgError:
         raise DegenerateConfiguration("T_dst: singular; need a similarity") from None
-    raw = T_inverse @ scaled @ T_src
-    H = normalised_homography(raw)
-    norm = math.copysign(float(np.linalg.norm(raw)), float(np.vdot(raw, H)))
-    h = H.ravel()
-    # The Kronecker product of T_dst^-1 and T_src^T; np.kron takes several times as long.
-    by_scaled = T_inverse[:, None, :, None] * T_src.T[None, :, None, :]
-    return H, (np.eye(9) - np.outer(h, h)) @ by_scaled.reshape(9, 9) / norm
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        raw = T_inverse @ scaled @ T_src
+        H = normalised_homography(raw)
+        norm = math.copysign(float(np.linalg.norm(raw)), float(np.vdot(raw, H)))
+        h = H.ravel()
+        # The Kronecker product of T_dst^-1 and T_src^T; np.kron takes several times as long.
+        by_scaled = T_inverse[:, None, :, None] * T_src.T[None, :, None, :]
+        by_scaled = (np.eye(9) - np.outer(h, h)) @ by_scaled.reshape(9, 9) / norm
+    if not (math.isfinite(norm) and np.isfinite(by_scaled).all()):
+        raise DegenerateConfiguration("scaled, T_src, T_dst: numbers too large or small; need those of a picture")
+    return H, by_scaled
 
 
 _MOST_STEPS = {

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_matrix, as_points
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
 
 #: Rounds of reweighting: the first ones with Cauchy's weights, which find the majority from anywhere, the others with
 #: Tukey's, which leave out what is far off.
@@ -17,6 +17,9 @@ _CAUCHY_ROUNDS = 2
 _TUKEY_ROUNDS = 2
 _TUKEY = 4.685  # 95 % efficient for normal errors
 _LARGEST_MOTION = 1e3
+#: Displacements and deviations beyond these are none of a picture's; their squares are plain floats.
+_LARGEST_PX = 1e12
+_SMALLEST_PX = 1e-9
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 
 
@@ -62,14 +65,27 @@ class PlaneMotion:
     ------
     DegenerateConfiguration
         If all points coincide.
+
+    Examples
+    --------
+    Four corners of a square and its middle grow by a tenth, one of them is wrong:
+
+    >>> points = np.array([[0, 0], [100, 0], [100, 100], [0, 100], [50, 50], [20, 70]])
+    >>> displacements = 0.1 * (points - 50)
+    >>> displacements[4] = 9
+    >>> motion = PlaneMotion(points, affine=True).fit(displacements, np.ones(6, bool))
+    >>> motion.matrix.round(3).tolist()[0], motion.agreeing.tolist()
+    ([1.1, 0.0, -5.0], [True, True, True, True, False, True])
     """
 
     def __init__(self, points: ArrayLike, affine: bool = False) -> None:
         points = as_points(points, "points", 1)
+        if not np.abs(points).max() < _LARGEST_PX:
+            raise ShapeError(f"points: up to {np.abs(points).max():g}; need less than {_LARGEST_PX:g} px")
         centre = points.mean(axis=0)
         self.unit_px = float(np.sqrt(((points - centre) ** 2).mean()))
-        if not 1e-9 < self.unit_px < 1e12:
-            raise DegenerateConfiguration("points: they coincide, or are no places in a picture")
+        if not self.unit_px > _SMALLEST_PX:
+            raise DegenerateConfiguration("points: they coincide; need points that span the plane")
         x, y = ((points - centre) / self.unit_px).T
         self.normalised = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, self.unit_px]]) / self.unit_px
         self.back = np.array([[self.unit_px, 0, centre[0]], [0, self.unit_px, centre[1]], [0, 0, 1]])
@@ -89,7 +105,7 @@ class PlaneMotion:
         Parameters
         ----------
         displacements : (N, 2) px, of all points or of the first N
-        usable : (N,) those that count
+        usable : (N,) bool, those that count
         floor_px : least standard deviation of a coordinate, > 0
         before : what was told before, of nearly the same displacements or of the first of them: a start that saves
             rounds
@@ -98,12 +114,21 @@ class PlaneMotion:
         ------
         NoConsensus
             If fewer are usable than the motion has parameters, or they do not determine one.
+        ShapeError
+            If the arrays are not as said, or the floor is no such number.
         """
-        count, parameters = len(displacements), self.by_parameters.shape[2]
-        if count > len(self.by_parameters) or displacements.shape != (count, 2) or usable.shape != (count,):
+        displacements = as_floats(displacements, "displacements")
+        count, parameters = len(displacements) if displacements.ndim else 0, self.by_parameters.shape[2]
+        if count > len(self.by_parameters) or displacements.shape != (count, 2):
             raise ShapeError(
                 f"displacements: shape {displacements.shape}; need (N, 2), N up to {len(self.by_parameters)}"
             )
+        if not isinstance(usable, np.ndarray) or usable.dtype != np.bool_ or usable.shape != (count,):
+            raise ShapeError(f"usable: {getattr(usable, 'shape', type(usable).__name__)}; need ({count},) of bool")
+        if count and not np.abs(displacements).max() < _LARGEST_PX:
+            raise ShapeError(f"displacements: not finite, or too large; need less than {_LARGEST_PX:g} px")
+        if not _SMALLEST_PX <= floor_px <= _LARGEST_PX:
+            raise ShapeError(f"floor_px: {floor_px!r}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
         by = self.by_parameters[:count]
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
@@ -136,13 +161,32 @@ class PlaneMotion:
         return Motion(self.matrix(all_eight), all_eight, weights > 0, sigma * self.unit_px, largest)
 
     def matrix(self, motion: Floats) -> Matrix3:
-        """Return the homography (3, 3) of px that a motion's eight parameters stand for."""
+        """Return the homography (3, 3) of px that a motion's parameters, (8,), stand for.
+
+        Raises
+        ------
+        ShapeError
+            If they are no eight numbers, or too large.
+        """
+        motion = as_floats(motion, "motion")
+        if motion.shape != (8,) or not np.abs(motion).max() < _LARGEST_PX:
+            raise ShapeError(f"motion: shape {motion.shape}; need (8,), less than {_LARGEST_PX:g}")
         near_identity = np.eye(3)
         near_identity.ravel()[:8] += motion
         return np.asarray(self.back @ near_identity @ self.normalised)
 
     def sums(self, correlation: Floats | None = None) -> MotionSums:
-        """Return the normal matrix of all points, and with the correlation (N, N) of their errors; kept for again."""
+        """Return the normal matrix of all points, and with the correlation of their errors; kept for again.
+
+        Parameters
+        ----------
+        correlation : (N, N) as for `motion_sums`; what was summed before is known by the array itself
+
+        Raises
+        ------
+        ShapeError
+            As `motion_sums`.
+        """
         if self._sums is None or self._sums.correlation is not correlation:
             self._sums = motion_sums(self.by_parameters, correlation)
         return self._sums
@@ -158,23 +202,38 @@ class MotionSums:
 
 
 def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> MotionSums:
-    """Return the sums over points whose displacements have the derivative `by_parameters`, (N, 2, P).
+    """Return the sums over points whose displacements have the derivative `by_parameters`.
 
     Parameters
     ----------
-    by_parameters : derivative
+    by_parameters : (N, 2, P)
     correlation : (N, N) of the errors of different points, the same for both coordinates; None: independent
+
+    Raises
+    ------
+    ShapeError
+        If the arrays do not fit each other, or hold numbers that are not finite or too large.
     """
     by_parameters = as_floats(by_parameters, "by_parameters")
-    if by_parameters.ndim != 3 or by_parameters.shape[1] != 2:
+    if by_parameters.ndim != 3 or by_parameters.shape[1] != 2 or not by_parameters.shape[2]:
         raise ShapeError(f"by_parameters: shape {by_parameters.shape}; need (N, 2, P)")
     rows = by_parameters.reshape(-1, by_parameters.shape[2])
-    normal = rows.T @ rows
+    with np.errstate(over="ignore", invalid="ignore"):
+        normal = rows.T @ rows
+    # What is not finite anywhere is not in the sums either: they are smaller.
+    if not np.isfinite(normal).all():
+        raise ShapeError("by_parameters: numbers that are not finite, or too large; need squares that are floats")
     if correlation is None:
         return MotionSums(normal, normal, None)
-    correlation = as_matrix(correlation, (len(by_parameters),) * 2, "correlation")
+    correlation = as_floats(correlation, "correlation")
+    if correlation.shape != (len(by_parameters),) * 2:
+        raise ShapeError(f"correlation: shape {correlation.shape}; need {(len(by_parameters),) * 2}")
     x, y = (np.ascontiguousarray(by_parameters[:, axis]) for axis in (0, 1))
-    return MotionSums(normal, x.T @ (correlation @ x) + y.T @ (correlation @ y), correlation)
+    with np.errstate(over="ignore", invalid="ignore"):
+        middle = x.T @ (correlation @ x) + y.T @ (correlation @ y)
+    if not np.isfinite(middle).all():
+        raise ShapeError("correlation: numbers that are not finite, or too large; need -1 to 1")
+    return MotionSums(normal, middle, correlation)
 
 
 def _solved(by: Floats, moved: Points, weights: Floats) -> Floats:

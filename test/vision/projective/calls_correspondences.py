@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.vision.projective.checks import checked_pairs, finite
-from imgu_ros.vision.projective.condensed import condensed_homography
 from imgu_ros.vision.projective.dlt import design_matrix, homography_dlt, normalisation
 from imgu_ros.vision.projective.errors import (
     algebraic_error,
@@ -60,6 +59,5 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     HomographyModel: _pairs,
     derivative_by_h: lambda rng: {"H": H.copy(), "points": rng.uniform(0, 100, (5, 2))},
     stepped: lambda rng: {"H": H.copy(), "delta": rng.normal(size=8) * 0.1},
-    condensed_homography: lambda rng: {**_pairs(rng), "start": H.copy(), "threshold_px": 3.0},
     tangent_basis: lambda _: {"H": H.copy()},
 }

@@ -1,0 +1,77 @@
+"""A valid call of the public functions of vision/matching that align patches, for test_hostile.py."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from imgu_ros.types import Image, Indices, Points
+from imgu_ros.vision.matching.alignment import Displacements, LocalBend, Patches, as_grey
+from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.sheet import Sheet
+
+CENTRES = np.array([[10.0, 10.0], [20.0, 12.0], [15.0, 22.0], [25.0, 24.0]])
+ORIGINS = np.array([[2.0, 2.0], [12.0, 4.0], [6.0, 14.0], [16.0, 16.0]])
+
+
+def picture(rng: np.random.Generator, dtype: type = np.uint8) -> Image:
+    return rng.integers(0, 256, (36, 40)).astype(dtype)
+
+
+def patches(rng: np.random.Generator) -> Patches:
+    return PatchBank(picture(rng), CENTRES, 7).select(np.arange(4))
+
+
+def homography() -> np.ndarray:
+    return np.array([[0.9, 0.1, 1.0], [-0.1, 0.95, 2.0], [1e-3, -5e-4, 1.0]])
+
+
+def selected(image: Image, centres: Points, chosen: Indices, picture: Image, H: np.ndarray) -> Displacements:
+    """All that a patch goes through."""
+    some = PatchBank(image, centres, 7).select(chosen)
+    return some.displacements(some.sampled(picture, H))
+
+
+def bent(some: Patches, straight: Points, bent: Points, by_straight: np.ndarray, picture: Image) -> Image:
+    return some.sampled(picture, np.eye(3), LocalBend(straight, bent, by_straight))
+
+
+def cut_and_sampled(origins: Points, image: Image, H: np.ndarray) -> Image:
+    sheet = Sheet(origins, 16)
+    return patches(np.random.default_rng(1)).sampled(sheet.cut(image), H, sheet=sheet)
+
+
+def from_a_sheet(some: Patches, sheet_picture: Image, H: np.ndarray) -> Image:
+    return some.sampled(sheet_picture, H, sheet=Sheet(ORIGINS, 16), first=3)
+
+
+CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
+    as_grey: lambda rng: {"image": picture(rng, np.float32), "name": "image"},
+    PatchBank: lambda rng: {"image": picture(rng, np.uint16), "centres": CENTRES.copy(), "window_px": 7},
+    PatchBank.select: lambda rng: {"self": PatchBank(picture(rng), CENTRES, 7), "chosen": np.array([2, 0])},
+    Patches.sampled: lambda rng: {"self": patches(rng), "picture": picture(rng), "H": homography()},
+    Patches.displacements: lambda rng: {"self": patches(rng), "samples": rng.integers(0, 256, (4, 49), np.uint8)},
+    selected: lambda rng: {
+        "image": picture(rng, np.float32),
+        "centres": CENTRES.copy(),
+        "chosen": np.array([3, 1, 0]),
+        "picture": picture(rng, np.float32),
+        "H": np.eye(3),
+    },
+    bent: lambda rng: {
+        "some": patches(rng),
+        "straight": CENTRES.copy(),
+        "bent": CENTRES + rng.normal(size=(4, 2)),
+        "by_straight": np.eye(2) + 0.1 * rng.normal(size=(4, 2, 2)),
+        "picture": picture(rng, np.uint16),
+    },
+    cut_and_sampled: lambda rng: {"origins": ORIGINS.copy(), "image": picture(rng, np.float32), "H": homography()},
+    from_a_sheet: lambda rng: {
+        "some": patches(rng),
+        "sheet_picture": Sheet(ORIGINS, 16).cut(picture(rng)),
+        "H": homography(),
+    },
+    Sheet: lambda rng: {"origins": ORIGINS.copy(), "side": 16},
+    Sheet.cut: lambda rng: {"self": Sheet(ORIGINS, 16), "picture": picture(rng)},
+}
