@@ -82,7 +82,15 @@ def from_quaternion(q: ArrayLike) -> Matrix3:
     if largest == 0:
         raise ShapeError("q: all zero; need a quaternion (x, y, z, w)")
     # Divided first: the square of a large or tiny number is none.
-    return np.asarray(Rotation.from_quat(q / largest).as_matrix(), np.float64)
+    x, y, z, w = (q / largest).tolist()
+    s = 2 / (x * x + y * y + z * z + w * w)
+    return np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ]
+    )
 
 
 def as_rotation(R: ArrayLike, name: str = "R") -> Matrix3:
