@@ -91,7 +91,14 @@ class Developed:
         """Return the grey picture of half the size, (H // 2, W // 2) uint8: each pixel the mean of four.
 
         Of a mosaic they are the four of a quad, weighed as they are: green counts a half.
+
+        Raises
+        ------
+        ShapeError
+            If a side is shorter than 2 px.
         """
+        if min(self.shape) < 2:
+            raise ShapeError(f"pixels: shape {self.shape}; need at least 2 px a side to halve them")
         if self._grey is None and self._local:
             source, finish = self._pixels, True
         else:
@@ -101,7 +108,15 @@ class Developed:
         return stretched_to_8_bit(small, self._raw.black_level, self._white_level()) if finish else small
 
     def cut(self, sheet: Sheet) -> Image:
-        """Return squares of the grey picture as a sheet; those of a mosaic must begin at even pixels."""
+        """Return squares of the grey picture as a sheet; those of a mosaic must begin at even pixels.
+
+        In the outermost pixel of a square, where the mosaic's neighbours are missing, it may differ from the picture.
+
+        Raises
+        ------
+        ShapeError
+            If squares of a mosaic begin at odd pixels, or one reaches beyond the picture.
+        """
         if self._grey is not None or not self._local:
             return sheet.cut(self.grey)
         squares = sheet.cut(self._pixels)
@@ -236,6 +251,8 @@ def _checked_pixels(image: RawImage) -> Image:
     packed = layout.color in (ColorModel.UYVY, ColorModel.YUYV)
     dtypes = (np.uint8,) if packed else (np.uint8, np.uint16)
     pixels = as_image(pixels, "pixels", (_CHANNELS[layout.color],), dtypes)
+    if layout.color is ColorModel.BAYER and min(pixels.shape) < 2:
+        raise ShapeError(f"pixels: shape {pixels.shape}; need at least one 2x2 quad")
     if packed and pixels.shape[1] % 2:
         raise ShapeError(f"pixels: shape {pixels.shape}; need an even width for {layout.color}")
     return pixels

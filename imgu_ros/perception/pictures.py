@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 
+from imgu_ros.errors import ShapeError
 from imgu_ros.perception.develop import Developed
 from imgu_ros.types import Image
 from imgu_ros.vision.matching.sheet import Sheet
@@ -30,11 +31,19 @@ class Pictures:
 
     @property
     def most_halvings(self) -> int:
-        """How often the picture can be halved."""
+        """How often the picture can be halved and still shows something."""
         return max(0, (min(self.shape) // _SMALLEST_SIDE_PX).bit_length() - 1)
 
     def halved(self, times: int) -> Image:
-        """Return the picture halved `times` times: each pixel is the mean of 2^times x 2^times, whole ones only."""
+        """Return the picture halved `times` times: each pixel is the mean of 2^times x 2^times, whole ones only.
+
+        Raises
+        ------
+        ShapeError
+            If nothing would be left of it.
+        """
+        if times < 0 or not min(self.shape) >> times:
+            raise ShapeError(f"halved: {times} times, of {self.shape} px; need 0 to {self.most_halvings}")
         if times == 0:
             return self._developed.grey
         if not self._halved:
