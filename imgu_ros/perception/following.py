@@ -15,6 +15,7 @@ from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.alignment import LocalBend, Patches
 from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.response import Response
 from imgu_ros.vision.matching.sheet import TALLEST_PX, Sheet
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.increments import Motion
@@ -144,16 +145,24 @@ def follow_patches(
     picture = pictures.halved(halvings) if sheet is None else pictures.cut(sheet)
     farthest = _FARTHEST_SHARE * effort.window_px
     motion: Motion | None = None
+    response = Response()
+    measured = np.zeros((0, 2))
     # The first rounds are a scout's: some patches tell where the others are.
     count = _SCOUTS if len(chosen) > 2 * _SCOUTS else len(chosen)
     for _ in range(effort.steps):
         lens = None if camera is None else reduced.bend(camera, picture_from_bank, centres[:count])
         seen = patches.displacements(patches.sampled(picture, picture_from_bank, lens, sheet, count))
         usable = (seen.similarity > _MIN_SIMILARITY) & (np.abs(seen.xy).max(axis=1) < farthest)
+        if motion is not None:
+            both = usable[: len(motion.agreeing)] & motion.agreeing
+            applied = motions.displacements(motion, len(both))[both]
+            response.learn(applied, (measured - seen.xy[: len(both)])[both])
+        measured = seen.xy
+        displacements = response.corrected(measured)
         # From a poor start few look alike, near the middle; they bring the others near.
         if np.count_nonzero(usable) < _FEWEST_AT_FIRST:
             raise NoConsensus(f"patches: {np.count_nonzero(usable)} of {count} look alike; need {_FEWEST_AT_FIRST}")
-        motion = motions.fit(seen.xy, usable, before=motion)
+        motion = motions.fit(displacements, usable, before=motion)
         # The picture at W(c - d) shows c: W is followed by the inverse of the motion by d.
         before = picture_from_bank
         picture_from_bank = before @ np.linalg.inv(motion.matrix)
@@ -169,7 +178,7 @@ def follow_patches(
         raise NoConsensus(f"patches: {agreeing} of {len(chosen)} agree; need {effort.fewest}")
     H = reduced.inverse @ picture_from_bank @ bank.bank_from_template
     settled = motion.largest_px < max(_SETTLED_PX, effort.enough_px)
-    return Followed(H, len(chosen), agreeing, bank, patches, seen.xy, motion, reduced.inverse @ before, settled)
+    return Followed(H, len(chosen), agreeing, bank, patches, displacements, motion, reduced.inverse @ before, settled)
 
 
 class Bank:

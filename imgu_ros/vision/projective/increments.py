@@ -160,6 +160,11 @@ class PlaneMotion:
         all_eight[:parameters] = motion
         return Motion(self.matrix(all_eight), all_eight, weights > 0, sigma * self.unit_px, largest)
 
+    def displacements(self, motion: Motion, first: int) -> Points:
+        """Return by how far a `motion` moves the `first` points, (N, 2) px."""
+        parameters = self.by_parameters.shape[2]
+        return np.asarray(self.by_parameters[:first] @ motion.parameters[:parameters] * self.unit_px)
+
     def matrix(self, motion: Floats) -> Matrix3:
         """Return the homography (3, 3) of px that a motion's parameters, (8,), stand for.
 

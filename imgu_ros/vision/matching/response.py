@@ -1,0 +1,67 @@
+"""How far measured displacements go when patches truly move: less than all the way where the picture is blurred.
+
+Lucas-Kanade takes the picture for the patch moved; of a picture that is less sharp than the patch it sees too small a
+displacement, along the blur most of all. After a known motion the displacements tell by how much.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Floats, Points, as_points
+
+#: Motions, px root mean square, that tell as much as the assumption that nothing is blurred.
+_ASSUMED_PX = 0.1
+#: Longer motions than this tell little: Lucas-Kanade is not linear so far away.
+_LONGEST_PX = 1.5
+#: Singular values of a response.
+_WEAKEST, _STRONGEST = 0.2, 1.5
+
+
+class Response:
+    """The linear map (2, 2) from true displacements to measured ones; the identity until motions tell better.
+
+    Attributes
+    ----------
+    matrix : (2, 2)
+    """
+
+    def __init__(self) -> None:
+        self.matrix: Floats = np.eye(2)
+        self._inverse: Floats = np.eye(2)
+        self._products = np.zeros((2, 2))
+        self._squares = np.zeros((2, 2))
+        self._count = 0
+
+    def corrected(self, measured: Points) -> Points:
+        """Return the true displacements (N, 2) of measured ones, (N, 2)."""
+        return np.asarray(as_points(measured, "measured") @ self._inverse.T)
+
+    def learn(self, applied: Points, change: Points) -> None:
+        """Take in what a motion brought.
+
+        Parameters
+        ----------
+        applied : (N, 2) px, by how far patches were moved
+        change : (N, 2) px, by how much less their measured displacements then were
+
+        Raises
+        ------
+        ShapeError
+            If the arrays do not fit each other.
+        """
+        applied, change = as_points(applied, "applied"), as_points(change, "change")
+        if applied.shape != change.shape:
+            raise ShapeError(f"change: shape {change.shape}; need {applied.shape}")
+        if not len(applied) or float((applied**2).mean()) > _LONGEST_PX**2:
+            return
+        self._products += change.T @ applied
+        self._squares += applied.T @ applied
+        self._count = max(self._count, len(applied))
+        assumed = self._count * _ASSUMED_PX**2 * np.eye(2)
+        told = (self._products + assumed) @ np.linalg.inv(self._squares + assumed)
+        U, strengths, Vt = np.linalg.svd(told)
+        strengths = np.clip(strengths, _WEAKEST, _STRONGEST)
+        self.matrix = (U * strengths) @ Vt
+        self._inverse = (Vt.T / strengths) @ U.T
