@@ -15,7 +15,7 @@ from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.guiding import Guided, guided
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, bending, posed, require_plausible
-from imgu_ros.perception.refinement import refine_by_alignment
+from imgu_ros.perception.refinement import Alignment, refine_by_alignment
 from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.target_features import TargetFeatures
 from imgu_ros.perception.targets import Target
@@ -30,6 +30,8 @@ from imgu_ros.vision.projective.minimal import HomographyModel
 
 #: How wrong, raw px, a homography of keypoints may be.
 _DETECTION_REACH_PX = 8.0
+#: Of the patches in view, spread over the target, the share that says as much as comparing all of it.
+_CONFIRMING_SHARE = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,16 +79,21 @@ def search(
                 found = Guided(matches, located or _fitted(agreed, matches, parameters))
                 more = guided(target, known, searched.features, found, lens, parameters)
                 matches, located = more.matches, more.located
+        confirmed = False
         if parameters.refinement.enabled:
             H = agreed.H if located is None else located.homography.H
             with clock.measures(Stage.REFINE):
-                # Where patches do not agree (blur, little texture), keypoints still say where the target is.
-                located = _aligned(target, searched, H, lens, parameters) or located
+                aligned = _aligned(target, searched, H, lens, parameters)
+            if aligned is not None:
+                located = Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed)
+                confirmed = len(aligned.template_xy) >= _CONFIRMING_SHARE * aligned.sought
         with clock.measures(Stage.HOMOGRAPHY):
+            # Where patches do not agree (blur, little texture), keypoints still say where the target is.
             located = located or _fitted(agreed, matches, parameters)
             # Where little of a target is in view, only the refined homography is good enough to tell.
             require_plausible(target, located.homography)
-            require_confirmed(searched.pictures, target, located.homography.H, lens)
+            if not confirmed:
+                require_confirmed(searched.pictures, target, located.homography.H, lens)
     except DegenerateConfiguration as error:
         return replace(missing, status=Status.DEGENERATE, reason=str(error))
     except EstimationError as error:
@@ -162,7 +169,7 @@ def _fitted(agreed: _Agreed, matches: TargetMatches, parameters: Parameters) -> 
 
 def _aligned(
     target: Target, searched: Searched, H: Matrix3, lens: Camera | None, parameters: Parameters
-) -> Located | None:
+) -> Alignment | None:
     """Return the refined location; None when the patches do not agree."""
     try:
         aligned = refine_by_alignment(
@@ -177,4 +184,4 @@ def _aligned(
         require_plausible(target, aligned.homography)
     except EstimationError:
         return None
-    return Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed)
+    return aligned
