@@ -25,6 +25,12 @@ with warnings.catch_warnings():
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
+#: Waits end with what they wait for; these bounds are for machines that are busy with something else.
+PATIENCE_S = 40.0
+#: A process ends in 0.2 s when the machine has time for it.
+PROMPT_S = 5.0
+_AGAIN_S = 2.0
+
 
 class Command:
     """An `imgu` command in a process of its own; its output is kept."""
@@ -42,14 +48,14 @@ class Command:
     def text(self) -> str:
         return "".join(self.lines)
 
-    def wait_for_line(self, part: str, timeout_s: float = 20.0) -> None:
+    def wait_for_line(self, part: str, timeout_s: float = PATIENCE_S) -> None:
         end = time.monotonic() + timeout_s
         while part not in self.text:
             assert self.process.poll() is None, f"ended with {self.process.returncode}:\n{self.text}"
             assert time.monotonic() < end, f"no {part!r} in:\n{self.text}"
             time.sleep(0.02)
 
-    def wait(self, timeout_s: float = 20.0) -> int:
+    def wait(self, timeout_s: float = PATIENCE_S) -> int:
         code = self.process.wait(timeout_s)
         self._reader.join(2)
         return code
@@ -58,8 +64,16 @@ class Command:
         """End it by a signal; return how long that took."""
         started = time.monotonic()
         self.process.send_signal(number)
-        self.wait(10)
+        self.wait()
         return time.monotonic() - started
+
+    def wait_for_handler(self, number: signal.Signals) -> None:
+        """Wait until the process handles a signal: before that the signal would end it as any process."""
+        end = time.monotonic() + PATIENCE_S
+        status = Path(f"/proc/{self.process.pid}/status")
+        while not int(status.read_text().partition("SigCgt:")[2].split()[0], 16) >> (number - 1) & 1:
+            assert time.monotonic() < end, f"no handler of {number.name}"
+            time.sleep(0.01)
 
     def kill(self) -> None:
         if self.process.poll() is None:
@@ -99,6 +113,10 @@ class Peer:
             message_class(type_name), topic, self.heard[topic].append, output_qos(50)
         )
 
+    def has_publishers(self) -> bool:
+        """Whether every topic that is heard has somebody who publishes it."""
+        return all(subscription.get_publisher_count() for subscription in self._subscriptions.values())
+
     def unhear(self, topic: str) -> None:
         self.node.destroy_subscription(self._subscriptions.pop(topic))
 
@@ -108,10 +126,19 @@ class Peer:
 
         return self.node.create_publisher(message_class(type_name), topic, qos or output_qos(10))
 
-    def wait(self, condition: Callable[[], object], what: str, timeout_s: float = 15.0) -> None:
+    def wait(
+        self, condition: Callable[[], object], what: str, timeout_s: float = PATIENCE_S,
+        again: Callable[[], object] = lambda: None,
+    ) -> None:  # fmt: skip
+        """Spin until the condition holds; call `again` now and then: what is sent before all are matched is lost."""
         end = time.monotonic() + timeout_s
+        repeat = time.monotonic() + _AGAIN_S
         while not condition():
-            assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
+            now = time.monotonic()
+            assert now < end, f"waited {timeout_s} s for {what}"
+            if now >= repeat:
+                again()
+                repeat = now + _AGAIN_S
             self.executor.spin_once(timeout_sec=0.02)
 
     def spin(self, seconds: float) -> None:
@@ -119,7 +146,7 @@ class Peer:
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
 
-    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = 15.0) -> Any:
+    def call(self, service_type: Any, name: str, request: Any, timeout_s: float = PATIENCE_S) -> Any:
         client = self.node.create_client(service_type, name)
         try:
             self.wait(client.service_is_ready, f"service {name}", timeout_s)
@@ -133,6 +160,12 @@ class Peer:
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
+
+
+@pytest.fixture(scope="session")
+def prompt_s() -> float:
+    """Longest time that a process may take to end."""
+    return PROMPT_S
 
 
 @pytest.fixture(scope="module")

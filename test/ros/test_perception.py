@@ -81,6 +81,7 @@ class Camera:
     def wait_for_node(self) -> None:
         both = (self._image, self._info)
         self._peer.wait(lambda: all(p.get_subscription_count() for p in both), "the node's subscriptions")
+        self._peer.wait(self._peer.has_publishers, "the node's outputs")
         self._peer.spin(0.5)
 
     @property
@@ -107,14 +108,14 @@ def values(message: Any, suffix: str) -> dict[str, str]:
 
 
 @pytest.fixture
-def node(imgu, world):
+def node(imgu, world, prompt_s):
     started = imgu("node", "perception", *world.arguments, "-r", "image_raw:=/cam/image_raw")
     started.wait_for_line("targets: poster")
     yield started
     if started.process.poll() is None:
         took = started.stop()
         assert started.process.returncode == 0, started.text
-        assert took < 2
+        assert took < prompt_s
     assert "Traceback" not in started.text
 
 
@@ -155,11 +156,13 @@ def test_every_output_carries_the_header_and_none_is_made_for_nobody(node, world
     camera.wait_for_node()
     frame = world.frames[0]
     camera.send(frame)
-    peer.wait(lambda: all(peer.heard[topic] for topic in [*outputs, "/path"]), "all outputs")
+    peer.wait(
+        lambda: all(peer.heard[topic] for topic in [*outputs, "/path"]), "all outputs", again=lambda: camera.send(frame)
+    )
     for topic in outputs:
         assert decode_header(peer.heard[topic][0]) == Header(frame.stamp_ns, frame.frame_id), topic
     assert np.array_equal(decode_image(peer.heard["/image_color"][0]).pixels, world.results[0].developed.color())
-    assert values(peer.heard["/status"][0], "poster")["status"] == "detected"
+    assert values(peer.heard["/status"][0], "poster")["status"] in ("detected", "tracked")
     for topic in [*outputs, "/path"]:
         peer.unhear(topic)
     peer.wait(lambda: not camera.is_subscribed, "the end of the subscription")
@@ -178,7 +181,10 @@ def test_bad_frames_are_said_and_do_not_stop_the_node(node, world, peer):
     ):
         count = len(peer.heard["/status"])
         camera.send(frame, **changes)
-        peer.wait(lambda n=count: len(peer.heard["/status"]) > n, f"status of a frame with {changes}")
+        peer.wait(
+            lambda n=count: len(peer.heard["/status"]) > n, f"status of a frame with {changes}",
+            again=lambda f=frame, c=changes: camera.send(f, **c),
+        )  # fmt: skip
         assert values(peer.heard["/status"][-1], "poster")["status"] == "rejected"
     camera.send(last, K_zero=True)
     peer.wait(lambda: values(peer.heard["/status"][-1], "poster")["status"] != "rejected", "a good frame")
@@ -203,7 +209,7 @@ def test_reasons_when_nothing_comes(node, world, peer):
     peer.hear("/diagnostics", DIAGNOSTICS)
     peer.hear("/pose", POSE)
 
-    def said(text: str, timeout_s: float = 8.0) -> None:
+    def said(text: str, timeout_s: float = 40.0) -> None:
         def heard() -> bool:
             return any(text in status.message for message in peer.heard["/diagnostics"] for status in message.status)
 
@@ -224,7 +230,7 @@ def test_services_and_parameters(node, world, peer):
     assert "no frame yet" in refused.message
     camera.wait_for_node()
     camera.send(world.frames[0])
-    peer.wait(lambda: peer.heard["/homography"], "a result")
+    peer.wait(lambda: peer.heard["/homography"], "a result", again=lambda: camera.send(world.frames[0]))
 
     reload_ = peer.call(Trigger, "/perception/reload", Trigger.Request())
     assert reload_.success, reload_.message
@@ -255,7 +261,7 @@ def test_services_and_parameters(node, world, peer):
     peer.hear("/keypoints", CLOUD)
     peer.spin(0.5)
     camera.send(world.frames[1])
-    peer.wait(lambda: peer.heard["/keypoints"], "keypoints")
+    peer.wait(lambda: peer.heard["/keypoints"], "keypoints", again=lambda: camera.send(world.frames[1]))
     assert 0 < peer.heard["/keypoints"][0].width <= 400
 
     images = SetParameters.Request()
@@ -270,8 +276,9 @@ def test_services_and_parameters(node, world, peer):
     peer.hear("/targets/view/outline", "geometry_msgs/msg/PolygonStamped")
     peer.spin(0.5)
     # The view itself once more: the next one of this short sequence is far away.
-    camera.send(replace(world.frames[1], stamp_ns=world.frames[1].stamp_ns + 1))
-    peer.wait(lambda: peer.heard["/targets/view/outline"], "the view as a target")
+    same = replace(world.frames[1], stamp_ns=world.frames[1].stamp_ns + 1)
+    camera.send(same)
+    peer.wait(lambda: peer.heard["/targets/view/outline"], "the view as a target", again=lambda: camera.send(same))
 
     assert peer.call(SetBool, "/perception/pause", SetBool.Request(data=True)).success
     peer.wait(lambda: not camera.is_subscribed, "pause")
@@ -279,7 +286,7 @@ def test_services_and_parameters(node, world, peer):
     peer.wait(lambda: camera.is_subscribed, "the end of the pause")
 
 
-def test_lifecycle_by_hand_and_a_namespace(imgu, world, peer):
+def test_lifecycle_by_hand_and_a_namespace(imgu, world, peer, prompt_s):
     from lifecycle_msgs.msg import Transition
     from lifecycle_msgs.srv import ChangeState
 
@@ -298,19 +305,19 @@ def test_lifecycle_by_hand_and_a_namespace(imgu, world, peer):
     camera = Camera(peer, "/robot/cam")
     camera.wait_for_node()
     camera.send(world.frames[0])
-    peer.wait(lambda: peer.heard["/robot/targets/poster/pose"], "a pose")
+    peer.wait(lambda: peer.heard["/robot/targets/poster/pose"], "a pose", again=lambda: camera.send(world.frames[0]))
     assert change(Transition.TRANSITION_DEACTIVATE)
     peer.wait(lambda: not camera.is_subscribed, "deactivation")
     assert change(Transition.TRANSITION_CLEANUP)
     assert change(Transition.TRANSITION_CONFIGURE)
     assert change(Transition.TRANSITION_ACTIVATE)
     peer.wait(lambda: camera.is_subscribed, "activation")
-    assert node.stop(signal.SIGTERM) < 2
+    assert node.stop(signal.SIGTERM) < prompt_s
     assert node.process.returncode == 0
     assert "Traceback" not in node.text
 
 
-def test_a_signal_ends_a_busy_node(imgu, world, peer):
+def test_a_signal_ends_a_busy_node(imgu, world, peer, prompt_s):
     node = imgu("node", "perception", *world.arguments, "-r", "image_raw:=/cam/image_raw")
     node.wait_for_line("targets: poster")
     peer.hear("/debug_image", IMAGE)
@@ -320,17 +327,18 @@ def test_a_signal_ends_a_busy_node(imgu, world, peer):
     while time.monotonic() < end or not peer.heard["/debug_image"]:
         camera.send(world.frames[0])
         peer.spin(0.01)
-        assert time.monotonic() < end + 10
-    assert node.stop(signal.SIGINT) < 2
+        assert time.monotonic() < end + 40
+    assert node.stop(signal.SIGINT) < prompt_s
     assert node.process.returncode == 0, node.text
     assert "Traceback" not in node.text
 
 
-@pytest.mark.parametrize("delay_s", [0.5, 0.9])
-def test_a_signal_ends_a_node_that_starts(imgu, world, delay_s):
+@pytest.mark.parametrize("delay_s", [0.0, 0.4, 0.8])
+def test_a_signal_ends_a_node_that_starts(imgu, world, delay_s, prompt_s):
     node = imgu("node", "perception", *world.arguments)
+    node.wait_for_handler(signal.SIGTERM)
     time.sleep(delay_s)
-    assert node.stop(signal.SIGTERM) < 2
+    assert node.stop(signal.SIGTERM) < prompt_s
     assert node.process.returncode == 0, node.text
     assert "Traceback" not in node.text
 

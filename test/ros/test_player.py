@@ -61,12 +61,13 @@ def test_messages_come_whole_in_order_and_in_time(imgu, peer, tmp_path, storage,
             times.append(time.monotonic())
         return len(heard) == len(pictures)
 
-    peer.wait(arrived, "all images", 20)
+    peer.wait(arrived, "all images")
     assert play.wait() == 0, play.text
     for index, (message, pixels) in enumerate(zip(heard, pictures, strict=True)):
         assert decode_header(message) == Header(START_NS + index * PERIOD_NS - 7_000_000, "camera")
         assert np.array_equal(np.frombuffer(message.data, np.uint8).reshape(48, 64), pixels)
-    assert times[-1] - times[0] == pytest.approx((len(pictures) - 1) * PERIOD_NS * 1e-9, abs=0.2)
+    # Not faster than recorded; how much slower depends on what else the machine does.
+    assert -0.2 < times[-1] - times[0] - (len(pictures) - 1) * PERIOD_NS * 1e-9 < 5
     peer.spin(0.2)  # the last /clock may come after the last image
     clocks = [c.clock.sec * 10**9 + c.clock.nanosec for c in peer.heard["/clock"]]
     assert clocks == sorted(clocks)
@@ -77,7 +78,7 @@ def test_messages_come_whole_in_order_and_in_time(imgu, peer, tmp_path, storage,
         assert "skipping /tf: tf2_msgs/msg/TFMessage is not installed" in play.text
 
 
-def test_part_of_a_bag_faster_remapped_and_again(imgu, peer, tmp_path):
+def test_part_of_a_bag_faster_remapped_and_again(imgu, peer, tmp_path, prompt_s):
     write_bag(tmp_path / "bag")
     peer.hear("/eye", IMAGE)
     play = imgu(
@@ -88,24 +89,25 @@ def test_part_of_a_bag_faster_remapped_and_again(imgu, peer, tmp_path):
     stamps = [decode_header(message).stamp_ns for message in peer.heard["/eye"]]
     expected = [START_NS + index * PERIOD_NS - 7_000_000 for index in range(10, 15)]
     assert stamps[:10] == expected + expected
-    assert play.stop() < 2
+    assert play.stop() < prompt_s
     assert play.process.returncode == 0
     assert "Traceback" not in play.text
 
 
-def test_waiting_for_subscribers_is_bounded_and_can_be_stopped(imgu, tmp_path):
+def test_waiting_for_subscribers_is_bounded_and_can_be_stopped(imgu, tmp_path, prompt_s):
     write_bag(tmp_path / "bag")
     bounded = imgu("play", str(tmp_path / "bag"), "--wait-for", "1", "--timeout", "0.3")
     unbounded = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
+    unbounded.wait_for_line("waiting for subscribers")
     assert bounded.wait() == 1
     assert "/cam/image_raw: 0 after 0.3 s; need 1" in bounded.text
     assert "Traceback" not in bounded.text
     assert unbounded.process.poll() is None
-    assert unbounded.stop() < 2
+    assert unbounded.stop() < prompt_s
     assert unbounded.process.returncode == 0, unbounded.text
 
 
-def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path):
+def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path, prompt_s):
     target = default_targets(1, seed=5, width_m=0.5)[0]
     cv2.imwrite(str(tmp_path / "poster.png"), target.pixels[:, :, ::-1])
     simulation = Simulation(width=480, height=360, frames=3, rate_hz=1.0, seed=5)
@@ -126,9 +128,9 @@ def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path):
     )  # fmt: skip
     peer.hear("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
     play = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
-    peer.wait(lambda: len(peer.heard["/pose"]) == len(frames), "all poses", 30)
+    peer.wait(lambda: len(peer.heard["/pose"]) == len(frames), "all poses")
     expected = [target_pose_message(make_ros_message, r, r.targets[0], "poster") for r in results]
     assert peer.heard["/pose"] == expected
     assert play.wait() == 0
-    assert node.stop() < 2
+    assert node.stop() < prompt_s
     assert node.process.returncode == 0
