@@ -55,6 +55,7 @@ class Followed:
     motion : what they make
     H_before : (3, 3) ideal px from the bank's px, without the motion
     settled : whether the last round hardly moved a patch
+    response : how far displacements go in the picture's most blurred direction, 1 where it is as sharp as the target
     """
 
     H: Matrix3
@@ -66,6 +67,7 @@ class Followed:
     motion: Motion
     H_before: Matrix3
     settled: bool
+    response: float
 
     def condensed(self, min_points: int) -> CondensedHomography:
         """Return H_image_template with its covariance, in ideal px, of the patches that are not improbably far off.
@@ -178,7 +180,18 @@ def follow_patches(
         raise NoConsensus(f"patches: {agreeing} of {len(chosen)} agree; need {effort.fewest}")
     H = reduced.inverse @ picture_from_bank @ bank.bank_from_template
     settled = motion.largest_px < max(_SETTLED_PX, effort.enough_px)
-    return Followed(H, len(chosen), agreeing, bank, patches, displacements, motion, reduced.inverse @ before, settled)
+    return Followed(
+        H,
+        len(chosen),
+        agreeing,
+        bank,
+        patches,
+        displacements,
+        motion,
+        reduced.inverse @ before,
+        settled,
+        response.weakest,
+    )
 
 
 class Bank:

@@ -26,6 +26,8 @@ _STRIDE = 2
 #: A picture halved more often is good for a start, not for a result; and of the patches in it this share must agree.
 _COARSEST_RESULT = 2
 _COARSE_SHARE = 0.5
+#: Where displacements go only so far, patches of a reduced picture tell more than those of full resolution.
+_BLURRED = 0.6
 _COARSE_PATCHES = 80
 _COARSE_STEPS = 8
 _COARSE_ENOUGH_PX = 0.2
@@ -98,11 +100,37 @@ def refine_by_alignment(
             # What a reduced picture showed stands; where it showed nothing, a finer one may.
             if found is not None:
                 break
+    if found is not None and at == 0 and found.response < _BLURRED:
+        found, at = _reduced_instead(pictures, target, found, camera, parameters, min_points)
     if found is None or (failure is not None and not _stands_alone(found, at)):
         raise failure or NoConsensus("patches: not found")
     if not found.settled:
         raise NoConsensus(f"patches: they still move by {found.motion.largest_px:.2f} px; need a better start")
     return _fitted(found, at, camera, min_points)
+
+
+def _reduced_instead(
+    pictures: Pictures,
+    target: Target,
+    found: Followed,
+    camera: Camera | None,
+    parameters: RefinementParameters,
+    min_points: int,
+) -> tuple[Followed, int]:
+    """Return the patches of the finest picture that is as sharp as the target there, and how often it is halved."""
+    at = 0
+    for halvings in range(1, min(_COARSEST_RESULT, pictures.most_halvings) + 1):
+        try:
+            effort = _effort(parameters, min_points, halvings)
+            reduced = follow_patches(pictures, halvings, target, found.H, camera, effort)
+        except EstimationError:
+            break
+        if not _stands_alone(reduced, halvings):
+            break
+        found, at = reduced, halvings
+        if found.response >= _BLURRED:
+            break
+    return found, at
 
 
 def _stands_alone(found: Followed, halvings: int) -> bool:

@@ -25,10 +25,12 @@ class Response:
     Attributes
     ----------
     matrix : (2, 2)
+    weakest : its smaller singular value: below 1 where the picture is blurred
     """
 
     def __init__(self) -> None:
         self.matrix: Floats = np.eye(2)
+        self.weakest = 1.0
         self._inverse: Floats = np.eye(2)
         self._products = np.zeros((2, 2))
         self._squares = np.zeros((2, 2))
@@ -64,4 +66,5 @@ class Response:
         U, strengths, Vt = np.linalg.svd(told)
         strengths = np.clip(strengths, _WEAKEST, _STRONGEST)
         self.matrix = (U * strengths) @ Vt
+        self.weakest = float(strengths[-1])
         self._inverse = (Vt.T / strengths) @ U.T

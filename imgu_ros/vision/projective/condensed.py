@@ -20,6 +20,7 @@ from imgu_ros.vision.projective.transform import local_jacobian, normalised_homo
 
 _OUTLIER_SIGMAS = 3.6
 _FLOOR_PX = 0.02
+_RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 _WORST_CONDITION = 1e12
 _SMALLEST_AREA = 1e-12
 _LARGEST = 1e30
@@ -68,8 +69,8 @@ def condensed_homography(
     """Fit the homography that displacements of a plane's points tell, some of which may be wrong.
 
     Displacements within 3.6 robust standard deviations of a robust motion are good (least trimmed squares, Rousseeuw
-    1984); their least-squares motion is the estimate. What is minimised are distances in the plane of the points, so
-    that all that depends on the points alone is worked out once. The covariance is that of `propagated_covariance`.
+    1984); their least-squares motion is the estimate, to first order in the displacements. Distances
+    in dst are minimised. The covariance is that of `propagated_covariance`.
 
     Parameters
     ----------
@@ -111,19 +112,26 @@ def condensed_homography(
     H_dst_points, points_from_src = _plain(H_dst_points, "H_dst_points"), _plain(points_from_src, "points_from_src")
     if displacements.size and not np.abs(displacements).max() < _LARGEST:
         raise ShapeError(f"displacements: up to {np.abs(displacements).max():g}; need places in a picture")
-    moved = displacements / unit
+    T_dst = _unit_similarity(H_dst_points, motions)
+    # Errors are alike in the picture, not in the plane: of a plane seen obliquely its far side is known less well.
+    metric = float(T_dst[0, 0]) * unit * local_jacobian(H_dst_points, transform(motions.back, by[:, 0, :2]))
+    by = metric @ by
+    moved = (metric @ displacements[:, :, None])[:, :, 0] / unit
     away = moved - by @ start.parameters
-    farthest = max(_OUTLIER_SIGMAS * start.sigma_px, _FLOOR_PX) / unit
-    kept = start.agreeing & (np.einsum("ni,ni->n", away, away) <= farthest**2)
+    squared = np.einsum("ni,ni->n", away, away)
+    used = squared[start.agreeing]
+    if len(used) < min_points:
+        raise NoConsensus(f"displacements: {len(used)} agree; need {min_points}")
+    # The distance that half of them are within; np.median takes ten times as long.
+    sigma = math.sqrt(float(np.partition(used, len(used) // 2)[len(used) // 2])) / _RAYLEIGH_MEDIAN
+    kept = start.agreeing & (squared <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX * float(T_dst[0, 0])) ** 2)
     count = int(np.count_nonzero(kept))
     if count < min_points:
         raise NoConsensus(f"displacements: {count} agree; need {min_points}")
-    if count == len(kept):
-        sums = motions.sums(correlation)
-    else:
+    if count < len(kept):
         # What is left out becomes zero: cheaper than to pick the others out of all pairs.
         by, moved = by * kept[:, None, None], moved * kept[:, None]
-        sums = motion_sums(by, correlation)
+    sums = motion_sums(by, correlation)
     rows = by.reshape(-1, 8)
     inverse = _inverse(sums.normal)
     motion = inverse @ (rows.T @ moved.ravel())
@@ -135,7 +143,6 @@ def condensed_homography(
     # The picture at H(x - d) shows x: H is followed by the inverse of the motion by d.
     H = H_dst_points @ _inverted(motions.matrix(motion), "displacements")
     T_src = motions.normalised @ points_from_src
-    T_dst = _unit_similarity(H, motions)
     scaled = normalised_homography(T_dst @ H @ motions.back)
     basis = tangent_basis(scaled)
     # H after a motion of the points: scaled (I + M)^-1, to first order scaled - scaled M.

@@ -97,7 +97,6 @@ class PlaneMotion:
             by[:, 0, 6], by[:, 0, 7] = -x * x, -x * y
             by[:, 1, 6], by[:, 1, 7] = -x * y, -y * y
         self.by_parameters = by
-        self._sums: MotionSums | None = None
 
     def fit(self, displacements: Points, usable: Mask, floor_px: float = 0.01, before: Motion | None = None) -> Motion:
         """Fit the motion that most displacements agree on.
@@ -180,30 +179,13 @@ class PlaneMotion:
         near_identity.ravel()[:8] += motion
         return np.asarray(self.back @ near_identity @ self.normalised)
 
-    def sums(self, correlation: Floats | None = None) -> MotionSums:
-        """Return the normal matrix of all points, and with the correlation of their errors; kept for again.
-
-        Parameters
-        ----------
-        correlation : (N, N) as for `motion_sums`; what was summed before is known by the array itself
-
-        Raises
-        ------
-        ShapeError
-            As `motion_sums`.
-        """
-        if self._sums is None or self._sums.correlation is not correlation:
-            self._sums = motion_sums(self.by_parameters, correlation)
-        return self._sums
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionSums:
-    """J^T J and J^T C J, (8, 8) each, and the correlation C that they are of."""
+    """J^T J and J^T C J, (P, P) each, C the correlation of the errors."""
 
     normal: Floats
     middle: Floats
-    correlation: Floats | None
 
 
 def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> MotionSums:
@@ -229,7 +211,7 @@ def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> Mot
     if not np.isfinite(normal).all():
         raise ShapeError("by_parameters: numbers that are not finite, or too large; need squares that are floats")
     if correlation is None:
-        return MotionSums(normal, normal, None)
+        return MotionSums(normal, normal)
     correlation = as_floats(correlation, "correlation")
     if correlation.shape != (len(by_parameters),) * 2:
         raise ShapeError(f"correlation: shape {correlation.shape}; need {(len(by_parameters),) * 2}")
@@ -238,7 +220,7 @@ def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> Mot
         middle = x.T @ (correlation @ x) + y.T @ (correlation @ y)
     if not np.isfinite(middle).all():
         raise ShapeError("correlation: numbers that are not finite, or too large; need -1 to 1")
-    return MotionSums(normal, middle, correlation)
+    return MotionSums(normal, middle)
 
 
 def _solved(by: Floats, moved: Points, weights: Floats) -> Floats:

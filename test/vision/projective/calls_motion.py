@@ -52,7 +52,6 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "floor_px": 0.01,
     },
     PlaneMotion.matrix: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},
-    PlaneMotion.sums: lambda rng: {"self": PlaneMotion(POINTS), "correlation": np.eye(12)},
     motion_sums: lambda rng: {
         "by_parameters": rng.normal(size=(6, 2, 8)),
         "correlation": np.eye(6) + 0.1 * np.ones((6, 6)),
