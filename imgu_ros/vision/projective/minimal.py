@@ -92,7 +92,7 @@ class HomographyModel:
         (H,) = self.refit_weighted(hypothesis[None], inliers[None].astype(np.float64))
         if not np.linalg.det(H) > _MIN_DETERMINANT:
             raise DegenerateConfiguration("inliers: they give a singular homography; need points that span the plane")
-        return H
+        return np.asarray(H, np.float64)
 
     def refit_weighted(self, hypotheses: Floats, weights: Floats) -> Floats:
         """Return the linear fits (B, 3, 3) with weights (B, N).
