@@ -93,7 +93,9 @@ def refine_by_alignment(
     at = 0
     for halvings in _ladder(_first_halvings(pictures, target, H, reach_px)):
         try:
-            found = follow_patches(pictures, halvings, target, H, camera, _effort(parameters, min_points, halvings))
+            found = follow_patches(
+                pictures, halvings, target, H, camera, _effort(parameters, min_points, halvings == 0)
+            )
             H, at = found.H, halvings
         except EstimationError as error:
             failure = error
@@ -102,7 +104,7 @@ def refine_by_alignment(
                 break
     if found is not None and at == 0 and found.response < _BLURRED:
         found, at = _reduced_instead(pictures, target, found, camera, parameters, min_points)
-    if found is None or (failure is not None and not _stands_alone(found, at)):
+    if found is None or (at > 0 and not _stands_alone(found, at)):
         raise failure or NoConsensus("patches: not found")
     if not found.settled:
         raise NoConsensus(f"patches: they still move by {found.motion.largest_px:.2f} px; need a better start")
@@ -121,7 +123,7 @@ def _reduced_instead(
     at = 0
     for halvings in range(1, min(_COARSEST_RESULT, pictures.most_halvings) + 1):
         try:
-            effort = _effort(parameters, min_points, halvings)
+            effort = _effort(parameters, min_points, for_result=True)
             reduced = follow_patches(pictures, halvings, target, found.H, camera, effort)
         except EstimationError:
             break
@@ -138,8 +140,8 @@ def _stands_alone(found: Followed, halvings: int) -> bool:
     return halvings <= _COARSEST_RESULT and found.settled and found.agreeing >= _COARSE_SHARE * found.sought
 
 
-def _effort(parameters: RefinementParameters, min_points: int, halvings: int) -> Effort:
-    if halvings == 0:
+def _effort(parameters: RefinementParameters, min_points: int, for_result: bool) -> Effort:
+    if for_result:
         return Effort(parameters.window_px, parameters.max_points, min_points, _FINE_STEPS, _FINE_ENOUGH_PX)
     most = min(_COARSE_PATCHES, parameters.max_points)
     return Effort(parameters.window_px, most, min_points, _COARSE_STEPS, _COARSE_ENOUGH_PX)
