@@ -7,6 +7,7 @@ displacement, along the blur most of all. After a known motion the displacements
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Points, as_points
@@ -17,6 +18,7 @@ _ASSUMED_PX = 0.1
 _LONGEST_PX = 1.5
 #: Singular values of a response.
 _WEAKEST, _STRONGEST = 0.2, 1.5
+_LARGEST_PX = 1e6
 
 
 class Response:
@@ -36,11 +38,11 @@ class Response:
         self._squares = np.zeros((2, 2))
         self._count = 0
 
-    def corrected(self, measured: Points) -> Points:
+    def corrected(self, measured: ArrayLike) -> Points:
         """Return the true displacements (N, 2) of measured ones, (N, 2)."""
-        return np.asarray(as_points(measured, "measured") @ self._inverse.T)
+        return np.asarray(_plain(measured, "measured") @ self._inverse.T)
 
-    def learn(self, applied: Points, change: Points) -> None:
+    def learn(self, applied: ArrayLike, change: ArrayLike) -> None:
         """Take in what a motion brought.
 
         Parameters
@@ -51,9 +53,9 @@ class Response:
         Raises
         ------
         ShapeError
-            If the arrays do not fit each other.
+            If the arrays do not fit each other, or hold numbers that are no displacements in a picture.
         """
-        applied, change = as_points(applied, "applied"), as_points(change, "change")
+        applied, change = _plain(applied, "applied"), _plain(change, "change")
         if applied.shape != change.shape:
             raise ShapeError(f"change: shape {change.shape}; need {applied.shape}")
         if not len(applied) or float((applied**2).mean()) > _LONGEST_PX**2:
@@ -68,3 +70,10 @@ class Response:
         self.matrix = (U * strengths) @ Vt
         self.weakest = float(strengths[-1])
         self._inverse = (Vt.T / strengths) @ U.T
+
+
+def _plain(displacements: ArrayLike, name: str) -> Points:
+    displacements = as_points(displacements, name)
+    if displacements.size and not np.abs(displacements).max() < _LARGEST_PX:
+        raise ShapeError(f"{name}: up to {np.abs(displacements).max():g}; need less than {_LARGEST_PX:g} px")
+    return displacements
