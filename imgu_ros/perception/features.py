@@ -20,6 +20,8 @@ from imgu_ros.vision.scale_space.pyramid import Pyramid, PyramidKind, build_pyra
 
 #: A level with a shorter side than this has too few keypoints for its cost.
 _SMALLEST_SIDE_PX = 64
+#: Samples of a thorough search for each of a first look: of many more matches fewer are right.
+_MORE_SAMPLES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,13 +66,14 @@ def find_features(pictures: Pictures, parameters: Parameters, clock: StageClock)
 
 
 def thoroughly(parameters: Parameters) -> Parameters:
-    """Return the parameters of a thorough search: more pixels, more scales, more keypoints."""
+    """Return the parameters of a thorough search: more pixels, more scales, more keypoints, more samples."""
     p = parameters
     kind = PyramidKind.FINE if p.pyramid.kind == PyramidKind.COARSE else p.pyramid.kind
     return replace(
         p,
         pyramid=replace(p.pyramid, kind=str(kind), max_side_px=max(p.search.max_side_px, p.pyramid.max_side_px)),
         keypoints=replace(p.keypoints, max_count=max(p.search.max_count, p.keypoints.max_count)),
+        homography=replace(p.homography, max_iterations=_MORE_SAMPLES * p.homography.max_iterations),
     )
 
 

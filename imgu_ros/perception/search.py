@@ -27,6 +27,7 @@ from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.nearest import match_to_gallery
 from imgu_ros.vision.projective.estimate import fit_homography
 from imgu_ros.vision.projective.minimal import HomographyModel
+from imgu_ros.vision.projective.transform import faces_camera
 
 #: How wrong, raw px, a homography of keypoints may be.
 _DETECTION_REACH_PX = 8.0
@@ -81,7 +82,7 @@ def search(
                 matches, located = more.matches, more.located
         confirmed = False
         if parameters.refinement.enabled:
-            H = agreed.H if located is None else located.homography.H
+            H = _start(target, agreed, matches) if located is None else located.homography.H
             with clock.measures(Stage.REFINE):
                 aligned = _aligned(target, searched, H, lens, parameters)
             if aligned is not None:
@@ -152,6 +153,18 @@ def _agreed(
     inliers = np.zeros(len(matches.template_xy), bool)
     inliers[usable[consensus.inliers]] = True
     return _Agreed(model.denormalised(consensus.hypothesis), inliers, ideal)
+
+
+def _start(target: Target, agreed: _Agreed, matches: TargetMatches) -> Matrix3:
+    """Return where to align from: the consensus, or its nearest affine map when that cannot be a view of the target.
+
+    Where a small part of a target is in view, its perspective is too uncertain to be continued to all of it.
+    """
+    if faces_camera(agreed.H, target.outline_template):
+        return agreed.H
+    src = matches.template_xy[agreed.inliers]
+    affine, *_ = np.linalg.lstsq(np.column_stack((src, np.ones(len(src)))), agreed.ideal_xy[agreed.inliers], rcond=None)
+    return np.vstack((affine.T, (0.0, 0.0, 1.0)))
 
 
 def _fitted(agreed: _Agreed, matches: TargetMatches, parameters: Parameters) -> Located:

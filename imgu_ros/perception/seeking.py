@@ -104,13 +104,14 @@ class Seeker:
     ) -> Iterator[TargetResult]:
         features = _uncovered(view, features)
         searched = Searched(view.frame, view.pictures, features, thorough)
+        parameters = thoroughly(self._parameters) if thorough else self._parameters
         with clock.measures(Stage.MATCH):
             likely = self._likely(features.described, missing, _FEWEST_THOROUGH_VOTES if thorough else _FEWEST_VOTES)
         failures = 0
         for index in likely:
             # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
             rng = np.random.default_rng((self._parameters.seed, view.frame.stamp_ns % 2**64, index))
-            result = search(self._targets[index], index, searched, self._parameters, rng, clock)
+            result = search(self._targets[index], index, searched, parameters, rng, clock)
             failures = 0 if result.status.found else failures + 1
             yield result
             if failures >= _FAILURES:
