@@ -6,6 +6,8 @@ displacement, along the blur most of all. After a known motion the displacements
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,8 +16,9 @@ from imgu_ros.types import Floats, Points, as_points
 
 #: Motions, px root mean square, that tell as much as the assumption that nothing is blurred.
 _ASSUMED_PX = 0.1
-#: Longer motions than this tell little: Lucas-Kanade is not linear so far away.
-_LONGEST_PX = 1.5
+#: Longer motions than this, root mean square, tell little: Lucas-Kanade is not linear so far away. Shorter ones cannot
+#: be told from noise.
+_LONGEST_PX, _SHORTEST_PX = 1.5, 0.03
 #: Singular values of a response.
 _WEAKEST, _STRONGEST = 0.2, 1.5
 _LARGEST_PX = 1e6
@@ -58,18 +61,36 @@ class Response:
         applied, change = _plain(applied, "applied"), _plain(change, "change")
         if applied.shape != change.shape:
             raise ShapeError(f"change: shape {change.shape}; need {applied.shape}")
-        if not len(applied) or float((applied**2).mean()) > _LONGEST_PX**2:
+        count = len(applied)
+        squares = applied.T @ applied
+        total = float(squares[0, 0] + squares[1, 1])
+        if not _SHORTEST_PX**2 * count < total <= 2 * _LONGEST_PX**2 * count:
             return
         self._products += change.T @ applied
-        self._squares += applied.T @ applied
-        self._count = max(self._count, len(applied))
-        assumed = self._count * _ASSUMED_PX**2 * np.eye(2)
-        told = (self._products + assumed) @ np.linalg.inv(self._squares + assumed)
-        U, strengths, Vt = np.linalg.svd(told)
-        strengths = np.clip(strengths, _WEAKEST, _STRONGEST)
-        self.matrix = (U * strengths) @ Vt
-        self.weakest = float(strengths[-1])
-        self._inverse = (Vt.T / strengths) @ U.T
+        self._squares += squares
+        self._count = max(self._count, count)
+        assumed = self._count * _ASSUMED_PX**2
+        (a, b), (c, d) = self._products.tolist()
+        (p, q), (_, r) = self._squares.tolist()
+        a, d, p, r = a + assumed, d + assumed, p + assumed, r + assumed
+        det = p * r - q * q
+        told = np.array([[a * r - b * q, b * p - a * q], [c * r - d * q, d * p - c * q]]) / det
+        self.weakest, strongest = _singular_values(told)
+        if self.weakest < _WEAKEST or strongest > _STRONGEST:
+            U, strengths, Vt = np.linalg.svd(told)
+            told = (U * np.clip(strengths, _WEAKEST, _STRONGEST)) @ Vt
+            self.weakest = max(self.weakest, _WEAKEST)
+        self.matrix = told
+        (a, b), (c, d) = told.tolist()
+        self._inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
+
+
+def _singular_values(matrix: Floats) -> tuple[float, float]:
+    """Return the smaller and the larger singular value of a (2, 2) matrix."""
+    (a, b), (c, d) = matrix.tolist()
+    half, product = (a * a + b * b + c * c + d * d) / 2, abs(a * d - b * c)
+    larger = math.sqrt(half + math.sqrt(max(half * half - product * product, 0.0)))
+    return (product / larger if larger > 0 else 0.0), larger
 
 
 def _plain(displacements: ArrayLike, name: str) -> Points:
