@@ -9,6 +9,7 @@ import numpy as np
 from imgu_ros.types import Image, Indices, Points
 from imgu_ros.vision.matching.alignment import Displacements, LocalBend, Patches, as_grey
 from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.response import Response
 from imgu_ros.vision.matching.sheet import Sheet
 
 CENTRES = np.array([[10.0, 10.0], [20.0, 12.0], [15.0, 22.0], [25.0, 24.0]])
@@ -46,6 +47,16 @@ def from_a_sheet(some: Patches, sheet_picture: Image, H: np.ndarray) -> Image:
     return some.sampled(sheet_picture, H, sheet=Sheet(ORIGINS, 16), first=3)
 
 
+def learned(applied: Points, change: Points, measured: Points) -> Points:
+    response = Response()
+    response.learn(applied, change)
+    return response.corrected(measured)
+
+
+def small(rng: np.random.Generator) -> Points:
+    return rng.normal(0, 0.3, (7, 2))
+
+
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
     as_grey: lambda rng: {"image": picture(rng, np.float32), "name": "image"},
     PatchBank: lambda rng: {"image": picture(rng, np.uint16), "centres": CENTRES.copy(), "window_px": 7},
@@ -72,6 +83,9 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "sheet_picture": Sheet(ORIGINS, 16).cut(picture(rng)),
         "H": homography(),
     },
+    Response.learn: lambda rng: {"self": Response(), "applied": small(rng), "change": small(rng)},
+    Response.corrected: lambda rng: {"self": Response(), "measured": small(rng)},
+    learned: lambda rng: {"applied": small(rng), "change": small(rng), "measured": small(rng)},
     Sheet: lambda rng: {"origins": ORIGINS.copy(), "side": 16},
     Sheet.cut: lambda rng: {"self": Sheet(ORIGINS, 16), "picture": picture(rng)},
 }
