@@ -98,14 +98,18 @@ def refine_by_alignment(
             )
             H, at = found.H, halvings
         except EstimationError as error:
-            failure = error
+            # Without its traceback, which holds this frame, which holds the error: the frame's pictures would live on.
+            failure = error.with_traceback(None)
             # What a reduced picture showed stands; where it showed nothing, a finer one may.
             if found is not None:
                 break
     if found is not None and at == 0 and found.response < _BLURRED:
         found, at = _reduced_instead(pictures, target, found, camera, parameters, min_points)
     if found is None or (at > 0 and not _stands_alone(found, at)):
-        raise failure or NoConsensus("patches: not found")
+        try:
+            raise failure or NoConsensus("patches: not found")
+        finally:
+            del failure
     if not found.settled:
         raise NoConsensus(f"patches: they still move by {found.motion.largest_px:.2f} px; need a better start")
     return _fitted(found, at, camera, min_points)
