@@ -64,7 +64,15 @@ FREE = (
     "tracking.enabled",
 )  # fmt: skip
 #: Choices about which this bag says nothing: of frames with bands, of a live node, of a lens; and what has one value.
-ELSEWHERE = {"raw.band_mode", "image_transport", "autostart", "publish_tf", "camera.rectified", "reference"}
+ELSEWHERE = {
+    "raw.band_mode",
+    "image_transport",
+    "autostart",
+    "publish_tf",
+    "camera.rectified",
+    "reference",
+    "search.thorough",
+}
 
 
 def values_of(name: str) -> tuple[object, ...]:
