@@ -40,7 +40,7 @@ class Samples:
     """Collects samples while frames pass by: about six, evenly spread, and three in which nothing was found any more.
 
     Every `stride`-th frame is kept; when twice as many as wanted are held, every other one is dropped and the stride
-    doubles. So n frames cost O(log n) drawings, and six when their number was known.
+    doubles. So n frames cost O(log n) drawings, and eleven when their number was known.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Samples:
     """
 
     def __init__(self, expected: int = 0) -> None:
-        self._stride = max(1, (expected - 1) // (_KEPT - 1))
+        self._stride = max(1, (expected - 1) // (2 * _KEPT - 2))
         self._even: list[Sample] = []
         self._misses: list[Sample] = []
         self._is_missing = False
