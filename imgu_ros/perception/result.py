@@ -63,7 +63,8 @@ class TargetMatches:
 
     Attributes
     ----------
-    matches : indices into the target's and the frame's keypoints, with the descriptor distance; -1 and 0 for patches
+    matches : indices into the target's and the frame's keypoints, with the descriptor distance; -1 when they are of
+        a thorough search or of a part of the frame, -1 and 0 for patches
     template_xy : (N, 2) px of the full-resolution target image
     image_xy : (N, 2) raw px of the frame
     inliers : (N,) agrees with the homography; all False when there is none

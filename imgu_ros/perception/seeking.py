@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from imgu_ros.perception.targets import Target
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
+from imgu_ros.vision.matching.matches import Matches
 
 #: Up to so many missing targets, each is looked for; of more, those that the index names.
 _DIRECT = 3
@@ -113,7 +114,8 @@ class Seeker:
             rng = np.random.default_rng((self._parameters.seed, view.frame.stamp_ns % 2**64, index))
             result = search(self._targets[index], index, searched, parameters, rng, clock)
             failures = 0 if result.status.found else failures + 1
-            yield result
+            # The frame's keypoints that are told are all those of the first look.
+            yield _without_indices(result) if thorough or view.covered else result
             if failures >= _FAILURES:
                 break
 
@@ -125,6 +127,15 @@ class Seeker:
         votes = self._index.votes(described.descriptors)[candidates]
         order = np.argsort(-votes, kind="stable")
         return [int(index) for index in candidates[order[votes[order] >= fewest]]]
+
+
+def _without_indices(result: TargetResult) -> TargetResult:
+    """Return a result whose matches name no keypoints."""
+    if result.matches is None:
+        return result
+    none = np.full(len(result.matches.matches), -1, np.intp)
+    matches = Matches(none, none, result.matches.matches.distance)
+    return replace(result, matches=replace(result.matches, matches=matches))
 
 
 def _uncovered(view: View, features: Features) -> Features:
