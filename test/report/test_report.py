@@ -147,7 +147,7 @@ def test_a_known_number_of_frames_needs_few_drawings(
     for index in range(count):
         samples.offer(index, result)
     chosen = [sample.index for sample in samples.chosen()]
-    assert chosen[0] == 0 and len(drawn) <= 15
+    assert chosen[0] == 0 and len(drawn) <= 20
     if expected == count:
         assert len(chosen) == min(6, count) and chosen[-1] >= 0.8 * (count - 1)
         assert len(drawn) <= 11
