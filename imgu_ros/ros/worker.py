@@ -111,9 +111,12 @@ class Worker:
         """
         parameters = self._parameters()
         targets = prepare_targets(images, parameters)
+        chain = Chain(parameters, targets)
+        # Now, before frames come: later the first thorough search would hold them up.
+        chain.prepare()
         with self._lock:
             self._images, self._targets, self._used = tuple(images), targets, parameters
-            self._chain = Chain(parameters, targets)
+            self._chain = chain
             self._last = None
         return targets
 
