@@ -104,6 +104,7 @@ def _timed(folder: Path, out: Path, parameters: list[str]) -> _Run:
         [*imgu, "replay", str(folder / "bag"), "--out", str(out), *targets, *more], stdout=subprocess.DEVNULL
     )
     samples: list[tuple[int, int]] = []
+    peak_kib = 0
     due = started
     while True:
         ended, status, usage = os.wait4(process.pid, os.WNOHANG)
@@ -113,6 +114,7 @@ def _timed(folder: Path, out: Path, parameters: list[str]) -> _Run:
         if time.monotonic() >= due:
             due += _SAMPLE_S
             samples.append((_bytes(out / "frames.csv"), _own_bytes(process.pid)))
+            peak_kib = max(peak_kib, _peak_kib(process.pid))
         time.sleep(0.005)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
@@ -122,7 +124,7 @@ def _timed(folder: Path, out: Path, parameters: list[str]) -> _Run:
     samples = [sample for sample in samples if sample[0] < final]
     kept = np.array(samples, float).reshape(-1, 2)
     kept[:, 0] /= final
-    return _Run(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6, kept)
+    return _Run(seconds, usage.ru_utime + usage.ru_stime, peak_kib * 1024 / 1e6, kept)
 
 
 def _own_mb(samples: np.ndarray, first: float, last: float) -> float:
@@ -136,6 +138,15 @@ def _bytes(path: Path) -> int:
         return path.stat().st_size
     except FileNotFoundError:
         return 0
+
+
+def _peak_kib(pid: int) -> int:
+    """Return the most that was resident so far; what the kernel tells at the end counts this process's memory too."""
+    try:
+        text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    except OSError:
+        return 0
+    return int(text.partition("VmHWM:")[2].split()[0]) if "VmHWM:" in text else 0
 
 
 def _own_bytes(pid: int) -> int:
