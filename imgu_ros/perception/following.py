@@ -52,6 +52,7 @@ class Followed:
     bank : of the target's patches
     patches : those that were tried
     displacements : (N, 2) px of the bank, at `H_before`
+    usable : (N,) those that look alike and near enough
     motion : what they make
     H_before : (3, 3) ideal px from the bank's px, without the motion
     settled : whether the last round hardly moved a patch
@@ -64,6 +65,7 @@ class Followed:
     bank: Bank
     patches: Patches
     displacements: Points
+    usable: Mask
     motion: Motion
     H_before: Matrix3
     settled: bool
@@ -85,6 +87,7 @@ class Followed:
             self.bank.bank_from_template,
             self.patches.overlap,
             max(min_points, 5),
+            self.usable,
         )
 
     def template_xy(self, chosen: Mask) -> Points:
@@ -187,6 +190,7 @@ def follow_patches(
         bank,
         patches,
         displacements,
+        usable,
         motion,
         reduced.inverse @ before,
         settled,

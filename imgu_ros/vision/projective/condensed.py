@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.projective.estimate import unscaled
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
@@ -65,6 +65,7 @@ def condensed_homography(
     points_from_src: Matrix3,
     correlation: Floats | None = None,
     min_points: int = 5,
+    usable: Mask | None = None,
 ) -> CondensedHomography:
     """Fit the homography that displacements of a plane's points tell, some of which may be wrong.
 
@@ -81,6 +82,7 @@ def condensed_homography(
     points_from_src : (3, 3) px of the points from the px that the estimate is to map
     correlation : (N, N) of the errors of different displacements; None: independent
     min_points : fewest good displacements, >= 5
+    usable : (N,) bool, those that may be good; None: those that agree with `start`
 
     Raises
     ------
@@ -107,6 +109,8 @@ def condensed_homography(
     by, unit = motions.by_parameters, motions.unit_px
     if displacements.shape != by.shape[:2] or start.agreeing.shape != by.shape[:1] or by.shape[2] != 8:
         raise ShapeError(f"displacements: shape {displacements.shape}; need {by.shape[:2]}, of a projective motion")
+    if usable is not None and (usable.shape != by.shape[:1] or usable.dtype != bool):
+        raise ShapeError(f"usable: shape {usable.shape} {usable.dtype}; need {by.shape[:1]} bool")
     if min_points < 5:
         raise ShapeError(f"min_points: {min_points}; need at least 5")
     H_dst_points, points_from_src = _plain(H_dst_points, "H_dst_points"), _plain(points_from_src, "points_from_src")
@@ -124,7 +128,9 @@ def condensed_homography(
         raise NoConsensus(f"displacements: {len(used)} agree; need {min_points}")
     # The distance that half of them are within; np.median takes ten times as long.
     sigma = math.sqrt(float(np.partition(used, len(used) // 2)[len(used) // 2])) / _RAYLEIGH_MEDIAN
-    kept = start.agreeing & (squared <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX * float(T_dst[0, 0])) ** 2)
+    # What the plane's far side says may lie far off in the plane, and near in dst.
+    kept = start.agreeing if usable is None else usable
+    kept = kept & (squared <= max(_OUTLIER_SIGMAS * sigma, _FLOOR_PX * float(T_dst[0, 0])) ** 2)
     count = int(np.count_nonzero(kept))
     if count < min_points:
         raise NoConsensus(f"displacements: {count} agree; need {min_points}")
