@@ -171,7 +171,12 @@ def test_ctrl_c_ends_the_command(
 
     monkeypatch.setattr(Chain, "process", interrupted)
     argv = ["replay", str(bag), "--params-file", str(bag / "params.yaml"), "--out", str(tmp_path / "out")]
-    assert main(argv) == 130
+    # A shell starts what runs in the background with the signal ignored, and Python leaves that so.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(argv) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err == "imgu: interrupted\n"
     assert_whole(tmp_path / "out", 4)
     assert own_threads() == []
