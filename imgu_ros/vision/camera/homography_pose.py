@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.types import Floats, Matrix3, as_matrix
 from imgu_ros.vision.camera.ippe import poses_about_point
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, same_pose
+from imgu_ros.vision.camera.planar_pose import PlanarPoses, weighed_poses
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
@@ -22,8 +22,6 @@ from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.projective.condensed import CondensedHomography
 from imgu_ros.vision.projective.refine import tangent_basis
 
-#: A second solution is refuted when it starts with this many times the first one's error.
-_REFUTED = 5.0
 #: Of a parameter's standard deviation at 1 px noise: a step this small is followed by one of its square.
 _TOLERANCE = 1e-2
 
@@ -63,30 +61,16 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     K = as_matrix(K, (3, 3), "K")
     src_from_plane = _inverse(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
     problem = _PoseOfHomography(homography, K, src_from_plane)
-    refined: list[Pose] = []
-    refuted_px = math.inf
     # In the middle of the points the two poses are nearest to the best ones.
     plane_from_points = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
     normalised_from_plane = _inverse(homography.T_dst @ K, "K") @ homography.scaled @ homography.T_src @ src_from_plane
     starts = poses_about_point(normalised_from_plane, plane_from_points[:2, 2] / plane_from_points[2, 2])
-    # The better start first: most second ones need no refinement to be told wrong.
-    for start in sorted(starts, key=problem.start_px):
-        try:
-            if refined:
-                start_px = problem.rms_px(start.matrix)
-                if start_px > _REFUTED * refined[0].rms_px:
-                    refuted_px = start_px
-                    continue
-            refined.append(problem.refined(start))
-        except EstimationError:
-            continue  # a start behind the camera or at a grazing angle is no solution
-    if not refined:
+    poses = weighed_poses(
+        sorted(starts, key=problem.start_px), lambda start: problem.rms_px(start.matrix), problem.refined
+    )
+    if not poses.solutions:
         raise DegenerateConfiguration("H: no pose in front of the camera explains it; need a plane seen from its front")
-    refined.sort(key=lambda pose: pose.rms_px)
-    if len(refined) > 1 and same_pose(refined[0], refined[1]):
-        refined = refined[:1]
-    second_px = refined[1].rms_px if len(refined) > 1 else refuted_px
-    return PlanarPoses(tuple(refined), refined[0].rms_px / second_px if second_px > 0 else 0.0)
+    return poses
 
 
 class _PoseOfHomography:

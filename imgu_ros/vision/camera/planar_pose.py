@@ -7,6 +7,7 @@ says how sure the choice is.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -82,29 +83,56 @@ def planar_poses(
     normalized, valid = camera.undistort(pixels)
     require_spread(normalized[valid], "pixels")
     among_valid = None if correlation is None else correlation[np.ix_(valid, valid)]
-    refined: list[Pose] = []
-    refuted_px = math.inf
     problem = PoseProblem(plane_xy[valid], pixels[valid], camera)
-    # OpenCV gives the better start first: most second ones need no refinement to be told wrong.
-    for start in planar_pose_starts(plane_xy[valid], normalized[valid]):
-        try:
-            if refined:
-                start_px = _rms(problem.residuals(start.matrix))
-                if start_px > _REFUTED * refined[0].rms_px:
-                    refuted_px = start_px
-                    continue
-            refined.append(_refined(problem, start, noise_px, among_valid))
-        except EstimationError:
-            continue  # a start behind the camera or at a grazing angle is no solution
-    if not refined:
+    # OpenCV gives the better start first.
+    poses = weighed_poses(
+        planar_pose_starts(plane_xy[valid], normalized[valid]),
+        lambda start: _rms(problem.residuals(start.matrix)),
+        lambda start: _refined(problem, start, noise_px, among_valid),
+    )
+    if not poses.solutions:
         raise DegenerateConfiguration(
             "pixels: no pose in front of the camera explains them; need a plane seen from its front"
         )
-    refined.sort(key=lambda pose: pose.rms_px)
-    if len(refined) > 1 and same_pose(refined[0], refined[1]):
-        refined = refined[:1]
-    second_px = refined[1].rms_px if len(refined) > 1 else refuted_px
-    return PlanarPoses(tuple(refined), refined[0].rms_px / second_px if second_px > 0 else 0.0)
+    return poses
+
+
+def weighed_poses(
+    starts: Iterable[RigidTransform],
+    start_rms_px: Callable[[RigidTransform], float],
+    refined: Callable[[RigidTransform], Pose],
+) -> PlanarPoses:
+    """Refine the poses that a plane's picture allows, and weigh them.
+
+    Parameters
+    ----------
+    starts : poses camera_from_plane, the better one first: most second ones need no refinement to be told wrong
+    start_rms_px : root mean square error of a start, px; may raise EstimationError
+    refined : the pose of least error near a start; may raise EstimationError
+
+    Returns
+    -------
+    Without solutions when every start failed.
+    """
+    found: list[Pose] = []
+    refuted_px = math.inf
+    for start in starts:
+        try:
+            if found:
+                start_px = start_rms_px(start)
+                if start_px > _REFUTED * found[0].rms_px:
+                    refuted_px = start_px
+                    continue
+            found.append(refined(start))
+        except EstimationError:
+            continue  # a start behind the camera or at a grazing angle is no solution
+    if not found:
+        return PlanarPoses((), 0.0)
+    found.sort(key=lambda pose: pose.rms_px)
+    if len(found) > 1 and _same(found[0], found[1]):
+        found = found[:1]
+    second_px = found[1].rms_px if len(found) > 1 else refuted_px
+    return PlanarPoses(tuple(found), found[0].rms_px / second_px if second_px > 0 else 0.0)
 
 
 def planar_pose_starts(plane_xy: ArrayLike, normalized: ArrayLike) -> list[RigidTransform]:
@@ -150,18 +178,7 @@ def _rms(residuals: Floats) -> float:
     return math.sqrt(float((residuals**2).mean()))
 
 
-def same_pose(a: Pose, b: Pose) -> bool:
-    """Whether two refinements ended in the same minimum.
-
-    Parameters
-    ----------
-    a, b : poses of the same plane; to 0.1 mrad and a ten thousandth of the distance they are to agree
-
-    Examples
-    --------
-    >>> a, b = (Pose(np.eye(3), np.array([0, 0, z]), np.eye(6), 0.1) for z in (1.0, 1.00001))
-    >>> same_pose(a, b)
-    True
-    """
+def _same(a: Pose, b: Pose) -> bool:
+    """Whether two refinements ended in the same minimum, to 0.1 mrad and a ten thousandth of the distance."""
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(a.R.T @ b.R)) - 1) / 2)))
     return angle < 1e-4 and float(np.linalg.norm(a.t - b.t)) < 1e-4 * float(np.linalg.norm(a.t))

@@ -10,7 +10,7 @@ from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.ippe import poses_about_point
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses, same_pose
+from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses, weighed_poses
 from imgu_ros.vision.camera.plane_view import plane_homography
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rotation import exp_so3
@@ -60,5 +60,9 @@ CALLS: dict[Callable[..., object], Callable[[Generator], dict[str, object]]] = {
         "H": np.linalg.solve(K(), view()) + rng.normal(0, 0.001, (3, 3)),
         "point": rng.uniform(-0.1, 0.1, 2),
     },
-    same_pose: lambda rng: {"a": pose(), "b": pose()},
+    weighed_poses: lambda _: {
+        "starts": [pose().transform],
+        "start_rms_px": lambda start: 1.0,
+        "refined": lambda start: pose(),
+    },
 }
