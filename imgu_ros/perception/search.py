@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -35,6 +37,14 @@ _DETECTION_REACH_PX = 8.0
 _CONFIRMING_SHARE = 0.6
 
 
+class Look(StrEnum):
+    """How a target is looked for."""
+
+    FIRST = "first"  #: quickly, at every scale
+    CLOSE = "close"  #: as quickly, when the camera is so near that little of it is in view
+    THOROUGH = "thorough"  #: with more of the frame's keypoints, also from the side
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
     """A frame, ready to be searched.
@@ -44,17 +54,17 @@ class Searched:
     frame : as it came
     pictures : the grey one, at every resolution
     features : the frame's keypoints and descriptors
-    thorough : whether they are those of a thorough search
+    look : which of a target's they are to be matched to
     """
 
     frame: Frame
     pictures: Pictures
     features: Features
-    thorough: bool = False
+    look: Look = Look.FIRST
 
     def features_of(self, target: Target) -> TargetFeatures:
         """Return what this frame's descriptors are to be matched to."""
-        return target.thorough.features() if self.thorough else target.features
+        return _FEATURES[self.look](target)
 
 
 def search(
@@ -102,6 +112,13 @@ def search(
     detected = replace(missing, status=Status.DETECTED, matches=matches)
     with clock.measures(Stage.POSE):
         return posed(detected, target, located, searched.frame.camera, parameters)
+
+
+_FEATURES: dict[Look, Callable[[Target], TargetFeatures]] = {
+    Look.FIRST: lambda target: target.features,
+    Look.CLOSE: lambda target: target.close.features(),
+    Look.THOROUGH: lambda target: target.thorough.features(),
+}
 
 
 def _matched(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> TargetMatches:

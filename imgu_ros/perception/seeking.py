@@ -14,7 +14,7 @@ from imgu_ros.perception.features import Features, find_features, thoroughly
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.result import Stage, TargetResult
-from imgu_ros.perception.search import Searched, search
+from imgu_ros.perception.search import Look, Searched, search
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -25,9 +25,8 @@ from imgu_ros.vision.matching.matches import Matches
 _DIRECT = 3
 #: Failures after which the less likely targets are left.
 _FAILURES = 3
-#: Votes without which a target is not looked for: in a first look, and thoroughly.
-_FEWEST_VOTES = 3
-_FEWEST_THOROUGH_VOTES = 5
+#: Votes without which a target is not looked for.
+_FEWEST_VOTES = {Look.FIRST: 3, Look.CLOSE: 3, Look.THOROUGH: 5}
 #: What is known to be covered is drawn at an eighth of the resolution.
 _MASK_STEP = 8
 
@@ -70,6 +69,7 @@ class Seeker:
         """Make what the first thorough search would have to wait for."""
         if self._parameters.search.thorough:
             for target in self._targets[:_DIRECT]:
+                target.close.features()
                 target.thorough.features()
 
     def seek(
@@ -77,37 +77,40 @@ class Seeker:
     ) -> Iterator[TargetResult]:
         """Yield what became of the missing targets that were looked for.
 
-        Those that a first look does not find are looked for thoroughly.
+        Those that a first look does not find are looked for from near, then thoroughly.
 
         Parameters
         ----------
         view : the frame
         missing : indices of targets
         clock : takes the time of the stages
-        although_tracked : look thoroughly also when others were found before this search
+        although_tracked : look more than once also when others were found before this search
         """
         left: dict[int, TargetResult | None] = dict.fromkeys(missing)
         covered = list(view.covered)
-        for result in self._search(view, view.features, missing, clock, thorough=False):
-            left[result.index] = result
-            if result.outline is not None:
-                covered.append(result.outline)
-                yield left.pop(result.index) or result
-        if self._parameters.search.thorough and left and (although_tracked or not view.covered):
-            features = find_features(view.pictures, thoroughly(self._parameters), clock)
-            again = View(view.frame, view.pictures, features, covered)
-            for result in self._search(again, features, tuple(left), clock, thorough=True):
+        for look in Look if self._again(view, although_tracked) else (Look.FIRST,):
+            if not left:
+                break
+            features = view.features
+            if look is Look.THOROUGH:
+                features = find_features(view.pictures, thoroughly(self._parameters), clock)
+            for result in self._search(replace(view, features=features, covered=covered[:]), look, tuple(left), clock):
                 left[result.index] = result
+                if result.outline is not None:
+                    covered.append(result.outline)
+                    yield left.pop(result.index) or result
         yield from (result for result in left.values() if result is not None)
 
-    def _search(
-        self, view: View, features: Features, missing: Sequence[int], clock: StageClock, thorough: bool
-    ) -> Iterator[TargetResult]:
-        features = _uncovered(view, features)
-        searched = Searched(view.frame, view.pictures, features, thorough)
-        parameters = thoroughly(self._parameters) if thorough else self._parameters
+    def _again(self, view: View, although_tracked: bool) -> bool:
+        """Whether there is more than a first look."""
+        return self._parameters.search.thorough and (although_tracked or not view.covered)
+
+    def _search(self, view: View, look: Look, missing: Sequence[int], clock: StageClock) -> Iterator[TargetResult]:
+        features = _uncovered(view, view.features)
+        searched = Searched(view.frame, view.pictures, features, look)
+        parameters = thoroughly(self._parameters) if look is Look.THOROUGH else self._parameters
         with clock.measures(Stage.MATCH):
-            likely = self._likely(features.described, missing, _FEWEST_THOROUGH_VOTES if thorough else _FEWEST_VOTES)
+            likely = self._likely(features.described, missing, _FEWEST_VOTES[look])
         failures = 0
         for index in likely:
             # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
@@ -115,7 +118,7 @@ class Seeker:
             result = search(self._targets[index], index, searched, parameters, rng, clock)
             failures = 0 if result.status.found else failures + 1
             # The frame's keypoints that are told are all those of the first look.
-            yield _without_indices(result) if thorough or view.covered else result
+            yield _without_indices(result) if look is not Look.FIRST or view.covered else result
             if failures >= _FAILURES:
                 break
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,7 +13,13 @@ from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.parameter_checks import why_not
 from imgu_ros.params import Parameters
 from imgu_ros.perception.develop import grey_of
-from imgu_ros.perception.target_features import TargetFeatures, ThoroughFeatures, target_features
+from imgu_ros.perception.target_features import (
+    FeaturesOnDemand,
+    TargetFeatures,
+    close_features,
+    target_features,
+    thorough_features,
+)
 from imgu_ros.types import Image, Matrix3, Points
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
@@ -69,7 +76,7 @@ class Target:
     name, width_m : as in `TargetImage`
     grey : (H, W) uint8
     features : keypoints and descriptors at every scale
-    thorough : those for a thorough search
+    close, thorough : those for the search of a target that is near, and for a thorough search
     alignment : octaves from fine to coarse
     """
 
@@ -77,7 +84,8 @@ class Target:
     width_m: float
     grey: Image
     features: TargetFeatures
-    thorough: ThoroughFeatures
+    close: FeaturesOnDemand
+    thorough: FeaturesOnDemand
     alignment: tuple[AlignmentLevel, ...]
 
     @property
@@ -141,7 +149,8 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         image.width_m,
         grey,
         features,
-        ThoroughFeatures(grey, parameters),
+        FeaturesOnDemand(partial(close_features, grey, parameters)),
+        FeaturesOnDemand(partial(thorough_features, grey, parameters)),
         tuple(_alignment(level, count) for level in octaves.levels),
     )
 

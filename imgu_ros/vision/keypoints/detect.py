@@ -78,7 +78,7 @@ def detect(
     function = _DETECTORS[detector]
     if detector is Detector.FAST:
         function = partial(detect_fast, arc=fast_arc)
-    levels = pyramid.levels[:1] if detector in _OF_EVERY_SCALE else pyramid.levels
+    levels = pyramid.levels[:1] if detector in OF_EVERY_SCALE else pyramid.levels
     areas = np.array([1 if even_scales else level.image.size for level in levels], np.float64)
     shares = np.floor(max_count * areas / areas.sum()).astype(int)
     shares[0] += max_count - shares.sum()
@@ -88,7 +88,7 @@ def detect(
             continue
         corners = function(level.image, int(share))
         scale = corners.scale * level.scale
-        octave = _octaves(pyramid, scale) if detector in _OF_EVERY_SCALE else np.full(len(scale), index, np.int32)
+        octave = _octaves(pyramid, scale) if detector in OF_EVERY_SCALE else np.full(len(scale), index, np.int32)
         found.append(Keypoints(level.to_full(corners.xy), scale, corners.angle, corners.response, octave))
     return Keypoints(
         xy=np.concatenate([f.xy for f in found]),
@@ -115,4 +115,4 @@ _DETECTORS: dict[Detector, Callable[[Image, int], Corners]] = {
 }
 
 #: These look for structures of every size on one picture.
-_OF_EVERY_SCALE = {Detector.DOG, Detector.MSER}
+OF_EVERY_SCALE = frozenset({Detector.DOG, Detector.MSER})
