@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
@@ -57,7 +58,7 @@ def as_rows(rows: ArrayLike, columns: int, name: str, minimum: int = 0) -> Float
     array = as_floats(rows, name)
     if array.ndim != 2 or array.shape[1] != columns or len(array) < minimum:
         raise ShapeError(f"{name}: shape {array.shape}; need (N >= {minimum}, {columns})")
-    return _finite(array, name)
+    return require_finite(array, name)
 
 
 def as_matrix(matrix: ArrayLike, shape: Sequence[int], name: str) -> Floats:
@@ -71,7 +72,7 @@ def as_matrix(matrix: ArrayLike, shape: Sequence[int], name: str) -> Floats:
     array = as_floats(matrix, name)
     if array.shape != tuple(shape):
         raise ShapeError(f"{name}: shape {array.shape}; need {tuple(shape)}")
-    return _finite(array, name)
+    return require_finite(array, name)
 
 
 def as_floats(values: ArrayLike, name: str) -> Floats:
@@ -117,15 +118,18 @@ def as_image(
         raise ShapeError(f"{name}: shape {image.shape}; need {allowed}")
     if image.size == 0:
         raise ShapeError(f"{name}: shape {image.shape}; need at least one pixel")
-    if image.dtype.newbyteorder("=") not in [np.dtype(d) for d in dtypes]:
+    if image.dtype.type not in dtypes:
         allowed = ", ".join(np.dtype(d).name for d in dtypes)
         raise ShapeError(f"{name}: data type {image.dtype}; need {allowed}")
     # OpenCV reads a big-endian array as if it were native, and says nothing.
-    image = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
-    return _finite(image, name) if image.dtype.kind == "f" else image
+    if not (image.dtype.isnative and image.flags.c_contiguous):
+        image = np.ascontiguousarray(image, dtype=image.dtype.newbyteorder("="))
+    return require_finite(image, name) if image.dtype.kind == "f" else image
 
 
-def _finite(array: NDArray[Any], name: str) -> NDArray[Any]:
-    if not np.isfinite(array).all():
+def require_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
+    """Return an array of floats if all are finite, else raise `ShapeError`."""
+    # One number tells it in half the time, unless it overflows.
+    if not math.isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         raise ShapeError(f"{name}: {np.count_nonzero(~np.isfinite(array))} values are not finite; need finite numbers")
     return array

@@ -150,7 +150,7 @@ class Chain:
             if result.homography is None:
                 self._tracks[result.index] = None
             elif track is None or result.status is Status.DETECTED:
-                self._tracks[result.index] = Track(Sighting(result.homography.H, frame.stamp_ns))
+                self._tracks[result.index] = Track([Sighting(result.homography.H, frame.stamp_ns)])
             else:
                 target = self._targets[result.index]
                 self._tracks[result.index] = track.continued(target, result.homography.H, frame.stamp_ns)

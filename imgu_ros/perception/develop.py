@@ -121,7 +121,7 @@ class Developed:
             return sheet.cut(self.grey)
         squares = sheet.cut(self._pixels)
         if self._layout.color is ColorModel.BAYER and self._layout.pattern is not None:
-            if sheet.side % 2 or (sheet.origins % 2).any():
+            if (sheet.side | int(np.bitwise_or.reduce(sheet.origins, axis=None))) & 1:
                 raise ShapeError("sheet: squares at odd pixels; need even ones, where a quad begins")
             squares = grey_from_mosaic(squares, self._layout.pattern, exact_border=False)
         return stretched_to_8_bit(squares, self._raw.black_level, self._white_level())

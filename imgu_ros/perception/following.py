@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from imgu_ros.vision.matching.response import Response
 from imgu_ros.vision.matching.sheet import TALLEST_PX, Sheet
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.increments import Motion
-from imgu_ros.vision.projective.transform import local_jacobian
+from imgu_ros.vision.projective.transform import area_factor
 
 #: A patch that looks less alike, or lies farther away than a share of its side, is not the one that is sought.
 _MIN_SIMILARITY = 0.5
@@ -34,6 +35,8 @@ _SETTLED_PX = 0.5
 _SHEET_ROOM_PX = 4
 #: A sheet larger than this share of the frame saves nothing.
 _SHEET_SHARE = 0.4
+#: A square's side, px, that is too large for any sheet.
+_NO_SIDE = 1_000_000
 #: By how much a lens may enlarge patches.
 _MOST_STRETCHED = 1.3
 #: Fewer patches are told an affine motion: two numbers less to be wrong.
@@ -140,13 +143,16 @@ def follow_patches(
     bank = _fitting_bank(target, H, reduced.scale, effort.window_px)
     picture_from_bank = reduced.matrix @ H @ bank.template_from_bank
     shape = (pictures.shape[0] >> halvings, pictures.shape[1] >> halvings)
-    chosen = _in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort)
+    seen_at = _in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort)
+    chosen = seen_at.chosen
     patches = bank.patches.select(chosen)
     centres = patches.centres
     motions = patches.motions(affine=len(chosen) < _ENOUGH_FOR_PROJECTIVE)
     sheet = None
     if halvings == 0:
-        sheet = _sheet(picture_from_bank, centres, shape, reduced, camera, effort.window_px)
+        stretched = 1.0 if camera is None else _MOST_STRETCHED
+        side = _square_side(picture_from_bank, patches.bounds, effort.window_px * stretched)
+        sheet = _sheet(seen_at.xy, side, shape)
     picture = pictures.halved(halvings) if sheet is None else pictures.cut(sheet)
     farthest = _FARTHEST_SHARE * effort.window_px
     motion: Motion | None = None
@@ -170,7 +176,7 @@ def follow_patches(
         motion = motions.fit(displacements, usable, before=motion)
         # The picture at W(c - d) shows c: W is followed by the inverse of the motion by d.
         before = picture_from_bank
-        picture_from_bank = before @ np.linalg.inv(motion.matrix)
+        picture_from_bank = before @ motions.inverse(motion.parameters)
         if count < len(chosen):
             if motion.largest_px < _SCOUTED_PX:
                 count = len(chosen)
@@ -247,8 +253,7 @@ class _Reduction:
 def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> Bank:
     """Return the patches of the octave whose pixels come out nearest in size to the picture's."""
     width, height = target.size
-    centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
-    pixels = math.sqrt(abs(float(np.linalg.det(local_jacobian(H, centre)[0])))) * scale
+    pixels = math.sqrt(area_factor(H, ((width - 1) / 2, (height - 1) / 2))) * scale
     octaves = [a for a in target.alignment if len(a.corners)]
     if not octaves:
         raise NoConsensus("patches: the target has none; need texture")
@@ -256,31 +261,12 @@ def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> B
     return Bank(best.patches(window_px), best.level.step)
 
 
-def _sheet(
-    picture_from_bank: Matrix3,
-    centres: Points,
-    shape: tuple[int, int],
-    reduced: _Reduction,
-    camera: Camera | None,
-    window_px: int,
-) -> Sheet | None:
-    """Return the squares of the picture that hold the patches; None when that saves little."""
-    height, width = shape
-    # A homography enlarges most at a corner of what holds all centres.
-    (left, top), (right, bottom) = centres.min(axis=0), centres.max(axis=0)
-    corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
-    by_centre = np.abs(local_jacobian(picture_from_bank, corners)).sum(axis=2).max()
-    stretch = 1.0 if camera is None else _MOST_STRETCHED
-    side = 2 * math.ceil(float(by_centre) * stretch * (window_px // 2) + _SHEET_ROOM_PX)
-    too_large = len(centres) * side**2 > _SHEET_SHARE * height * width or len(centres) * side > TALLEST_PX
-    if too_large or side > min(shape) - 2:
-        return None
-    at = _mapped(picture_from_bank, centres)
-    if camera is not None:
-        at = reduced.bent(camera, at)
-    # Even pixels: there a quad of the mosaic begins.
-    origin = (np.rint(at).astype(np.intp) - side // 2) // 2 * 2
-    return Sheet(np.clip(origin, 0, [(width - side) // 2 * 2, (height - side) // 2 * 2]), side)
+@dataclass(frozen=True, slots=True, eq=False)
+class _InView:
+    """Which patches lie in the picture, (N,), and where, (N, 2) px."""
+
+    chosen: Indices
+    xy: Points
 
 
 def _in_view(
@@ -290,24 +276,56 @@ def _in_view(
     reduced: _Reduction,
     camera: Camera | None,
     effort: Effort,
-) -> Indices:
-    """Return which patches should lie in the picture: the best spread of them."""
-    mapped = patches.centres @ picture_from_bank[:, :2].T + picture_from_bank[:, 2]
-    ahead = np.flatnonzero(mapped[:, 2] > 0)
-    xy = mapped[ahead, :2] / mapped[ahead, 2:]
-    if camera is not None and len(xy):
+) -> _InView:
+    """Return the best spread of the patches that should lie in the picture."""
+    height, width = shape
+    x, y, w = picture_from_bank @ patches.homogeneous
+    inside = w > 0
+    w = np.where(inside, w, 1.0)
+    x /= w
+    y /= w
+    if camera is not None:
         # Far outside, the lens model may be anything: near it is what counts.
-        near = (np.abs(xy) < 2 * max(shape)).all(axis=1)
-        ahead, xy = ahead[near], xy[near]
-        if len(xy):
-            xy = reduced.bent(camera, xy)
+        inside &= (np.abs(x) < 2 * max(shape)) & (np.abs(y) < 2 * max(shape))
+        near = np.flatnonzero(inside)
+        if len(near):
+            x[near], y[near] = reduced.bent(camera, np.column_stack((x[near], y[near]))).T
     margin = effort.window_px // 2 + 2
-    inside = (xy >= margin).all(axis=1) & (xy < np.array((shape[1], shape[0])) - margin).all(axis=1)
+    inside &= (x >= margin) & (x < width - margin) & (y >= margin) & (y < height - margin)
     # The centres come best spread first: so do those in view.
-    chosen = ahead[inside][: effort.most]
+    chosen = np.flatnonzero(inside)[: effort.most]
     if len(chosen) < effort.fewest:
         raise NoConsensus(f"patches: {len(chosen)} in view; need {effort.fewest}")
-    return chosen
+    return _InView(chosen, np.column_stack((x[chosen], y[chosen])))
+
+
+def _square_side(picture_from_bank: Matrix3, bounds: Sequence[float], window_px: float) -> int:
+    """Return the side, px of the picture, of a square about a patch that holds it, wherever within `bounds` it is.
+
+    A homography enlarges most at a corner of what holds all centres: left, top, right, bottom.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = picture_from_bank.tolist()
+    left, top, right, bottom = bounds
+    by_centre = 0.0
+    for x, y in ((left, top), (right, top), (right, bottom), (left, bottom)):
+        w = g * x + h * y + i
+        if not w > 0:
+            return _NO_SIDE
+        u, v = (a * x + b * y + c) / w, (d * x + e * y + f) / w
+        by_centre = max(by_centre, (abs(a - u * g) + abs(b - u * h)) / w, (abs(d - v * g) + abs(e - v * h)) / w)
+    return 2 * math.ceil(min(by_centre * (window_px // 2) + _SHEET_ROOM_PX, _NO_SIDE))
+
+
+def _sheet(xy: Points, side: int, shape: tuple[int, int]) -> Sheet | None:
+    """Return the squares of the picture that hold the patches at `xy`; None when that saves little."""
+    height, width = shape
+    too_large = len(xy) * side**2 > _SHEET_SHARE * height * width or len(xy) * side > TALLEST_PX
+    if too_large or side > min(shape) - 2:
+        return None
+    # Even pixels: there a quad of the mosaic begins.
+    origins = (np.rint(xy).astype(np.intp) - side // 2) & -2
+    np.minimum(origins, ((width - side) & -2, (height - side) & -2), out=origins)
+    return Sheet(np.maximum(origins, 0, out=origins), side)
 
 
 def _mapped(H: Matrix3, points: Points) -> Points:

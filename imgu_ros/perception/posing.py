@@ -11,13 +11,12 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.result import PoseStatus, TargetResult
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Points
+from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
 from imgu_ros.vision.projective.condensed import CondensedHomography
 from imgu_ros.vision.projective.homography import HomographyEstimate
-from imgu_ros.vision.projective.transform import faces_camera, transform
 
 #: A target whose outline covers less than this in the frame is not one.
 _MIN_AREA_PX = 100.0
@@ -49,29 +48,39 @@ def posed(
     found: TargetResult, target: Target, located: Located, camera: Camera | None, parameters: Parameters
 ) -> TargetResult:
     """Complete a result by homography, outline and, where it can be, pose."""
-    outline = transform(located.homography.H, target.outline_template)
+    homography = located.homography
+    outline = seen_outline(target, homography.H)
     lens = bending(camera)
-    found = replace(
-        found,
-        homography=located.homography,
-        outline=outline if lens is None else lens.raw_pixels(outline),
-    )
+    if lens is not None:
+        outline = lens.raw_pixels(outline)
     if camera is None:
         return replace(
-            found, pose_status=PoseStatus.UNCALIBRATED, reason="no calibration: K is zero or there is no camera_info"
+            found,
+            homography=homography,
+            outline=outline,
+            pose_status=PoseStatus.UNCALIBRATED,
+            reason="no calibration: K is zero or there is no camera_info",
         )
     if target.width_m == 0:
-        return replace(found, pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
+        return replace(
+            found,
+            homography=homography,
+            outline=outline,
+            pose_status=PoseStatus.NO_SIZE,
+            reason="targets.widths_m is 0 for this target",
+        )
     try:
         if located.condensed is not None:
             poses = poses_of_homography(located.condensed, camera.K, target.metres_from_template)
         else:
             poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
     except EstimationError as error:
-        return replace(found, reason=str(error))
+        return replace(found, homography=homography, outline=outline, reason=str(error))
     ambiguous = poses.ambiguity > parameters.pose.ambiguity_ratio
     return replace(
         found,
+        homography=homography,
+        outline=outline,
         pose_status=PoseStatus.AMBIGUOUS if ambiguous else PoseStatus.METRIC,
         reason="both planar solutions fit" if ambiguous else "",
         pose=None if ambiguous else poses.solutions[0],
@@ -80,11 +89,23 @@ def posed(
     )
 
 
+def seen_outline(target: Target, H: Matrix3) -> Points:
+    """Return where a target's outer corners are seen, (4, 2) ideal px, in the order of `outline_template`.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If one would lie behind the camera.
+    """
+    x, y, w = H @ target.outline_homogeneous
+    if not w.min() > 0:
+        raise DegenerateConfiguration("H: a part of the target would lie behind the camera")
+    return np.column_stack((x / w, y / w))
+
+
 def require_plausible(target: Target, estimate: HomographyEstimate) -> None:
     """Raise `DegenerateConfiguration` when a homography cannot be a view of the whole target."""
-    if not faces_camera(estimate.H, target.outline_template):
-        raise DegenerateConfiguration("H: a part of the target would lie behind the camera")
-    outline = transform(estimate.H, target.outline_template)
+    outline = seen_outline(target, estimate.H)
     area = abs(cv2.contourArea(outline.astype(np.float32)))
     if area < _MIN_AREA_PX:
         raise DegenerateConfiguration(f"H: the target would cover {area:.1f} px; need {_MIN_AREA_PX:g}")

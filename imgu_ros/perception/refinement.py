@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.errors import EstimationError, NoConsensus
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.params import RefinementParameters
 from imgu_ros.perception.following import Effort, Followed, follow_patches
 from imgu_ros.perception.pictures import Pictures
+from imgu_ros.perception.posing import seen_outline
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -158,15 +159,15 @@ def _ladder(first: int) -> list[int]:
 
 def _first_halvings(pictures: Pictures, target: Target, H: Matrix3, reach_px: float) -> int:
     """Return how often to halve the frame so that patches bridge `reach_px`, and the target is not too small."""
-    at = target.outline_template @ H[:, :2].T + H[:, 2]
+    wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
+    if wanted == 0:
+        return 0
     height, width = pictures.shape
-    if at[:, 2].min() > 0:
-        outline = np.clip(at[:, :2] / at[:, 2:], 0, (width, height))
-        extent = np.ptp(outline, axis=0)
-    else:
+    try:
+        extent = np.ptp(np.clip(seen_outline(target, H), 0, (width, height)), axis=0)
+    except DegenerateConfiguration:
         extent = np.array((width, height))
     side = math.sqrt(float(extent[0] * extent[1]))
-    wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
     possible = math.floor(math.log2(max(side / _COARSEST_SIDE_PX, 1.0)))
     return min(wanted, possible, pictures.most_halvings)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from imgu_ros.perception.target_features import (
     target_features,
     thorough_features,
 )
-from imgu_ros.types import Image, Matrix3, Points
+from imgu_ros.types import Floats, Image, Matrix3, Points
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
@@ -96,17 +96,17 @@ class Target:
     @property
     def outline_template(self) -> Points:
         """The outer corners, (4, 2) template px: top left, top right, bottom right, bottom left."""
-        width, height = self.size
-        return np.array(
-            [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]], np.float64
-        )
+        return _outline(*self.size)
+
+    @property
+    def outline_homogeneous(self) -> Floats:
+        """The outer corners, (3, 4) homogeneous template px, one a column."""
+        return _outline_homogeneous(*self.size)
 
     @property
     def metres_from_template(self) -> Matrix3:
         """Template px to the target's plane, metres, origin at the centre, y up: (3, 3) affine."""
-        width, height = self.size
-        scale = self.width_m / width
-        return np.array([[scale, 0, -scale * (width - 1) / 2], [0, -scale, scale * (height - 1) / 2], [0, 0, 1]])
+        return _metres_from_template(*self.size, self.width_m)
 
     def to_metres(self, template_xy: Points) -> Points:
         """Map template px (N, 2) to the target's plane, metres, origin at the centre, y up."""
@@ -153,6 +153,29 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         FeaturesOnDemand(partial(thorough_features, grey, parameters)),
         tuple(_alignment(level, count) for level in octaves.levels),
     )
+
+
+@cache
+def _outline(width: int, height: int) -> Points:
+    right, bottom = width - 0.5, height - 0.5
+    outline = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    outline.flags.writeable = False
+    return outline
+
+
+@cache
+def _outline_homogeneous(width: int, height: int) -> Floats:
+    homogeneous = np.vstack((_outline(width, height).T, np.ones(4)))
+    homogeneous.flags.writeable = False
+    return homogeneous
+
+
+@cache
+def _metres_from_template(width: int, height: int, width_m: float) -> Matrix3:
+    scale = width_m / width
+    matrix = np.array([[scale, 0, -scale * (width - 1) / 2], [0, -scale, scale * (height - 1) / 2], [0, 0, 1]])
+    matrix.flags.writeable = False
+    return matrix
 
 
 def _alignment(level: Level, count: int) -> AlignmentLevel:

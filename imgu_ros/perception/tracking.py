@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
+from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.params import Parameters
 from imgu_ros.perception.confirming import require_confirmed
 from imgu_ros.perception.pictures import Pictures
@@ -15,15 +17,17 @@ from imgu_ros.perception.posing import Located, bending, require_plausible
 from imgu_ros.perception.refinement import Alignment, refine_by_alignment
 from imgu_ros.perception.shift_search import shifted_homography
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Matrix3
+from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.projective.transform import faces_camera, normalised_homography, transform
 
 #: Of the patches sought, the share that must agree for a track to hold.
 _HELD_SHARE = 0.25
 _HELD_RMS_PX = 0.5
 #: Between these quotients of two intervals the motion goes on as it was; else the target is looked for where it was.
 _STEADY = (0.5, 2.0)
+_MOST_SIGHTINGS = 3
+#: What is left of a surprise in the next frame.
+_MEMORY = 0.5
 #: A prediction may be wrong by this many times as much as the one before it was, and by this much at least, raw px.
 _SURPRISE = 1.5
 _LEAST_REACH_PX = 2.0
@@ -41,46 +45,109 @@ class Sighting:
 
 
 class Track:
-    """The last sighting of a target, the one in the frame before if there was one, and how wrong the prediction was.
+    """The last sightings of a target, and how wrong what they led to expect was.
+
+    Sightings lead on in three ways: the target stays where it was last (one sighting), it moves on as it moved last
+    (two), or its motion changes as it changed last (three). A camera at rest, one that is carried and one on a machine
+    differ in which serves best: that which was least wrong lately.
 
     Parameters
     ----------
-    last, before : sightings; None: nothing was known before
-    surprise_px : largest distance of the outline's corners from where the motion led; None: no motion was known
+    sightings : latest first, one to three
+    surprises_px : of each way, in this order, the largest distance of the outline's corners from where it led, lately;
+        empty: no prediction was compared with a sighting yet
     """
 
-    def __init__(self, last: Sighting, before: Sighting | None = None, surprise_px: float | None = None) -> None:
-        self.last = last
-        self.before = before
-        self.surprise_px = surprise_px
-        self._prediction: Sighting | None = None
+    def __init__(self, sightings: Sequence[Sighting], surprises_px: Sequence[float] = ()) -> None:
+        self.sightings = tuple(sightings)[:_MOST_SIGHTINGS]
+        self.surprises_px = tuple(surprises_px)
+        self._expected: _Expected | None = None
+
+    @property
+    def last(self) -> Sighting:
+        """The latest sighting."""
+        return self.sightings[0]
+
+    @property
+    def surprise_px(self) -> float | None:
+        """How wrong the way that served best was lately; None: not known yet."""
+        return min(self.surprises_px) if self.surprises_px else None
 
     def continued(self, target: Target, H: Matrix3, stamp_ns: int) -> Track:
         """Return the track with one more sighting."""
-        if self.before is None:
-            return Track(Sighting(H, stamp_ns), self.last)
-        predicted = transform(self.predicted(target, stamp_ns), target.outline_template)
-        away = transform(H, target.outline_template) - predicted
-        return Track(Sighting(H, stamp_ns), self.last, math.sqrt(float((away**2).sum(axis=1).max())))
+        sightings = (Sighting(H, stamp_ns), *self.sightings)
+        if len(self.sightings) == 1:
+            return Track(sightings)
+        expected = self._led_on(target, stamp_ns)
+        xy = _corners(np.stack((H, *expected.ways)), target)
+        away = xy[1:] - xy[0]
+        surprises = np.sqrt((away**2).sum(axis=1).max(axis=1)).tolist()
+        # One lucky hit is forgotten sooner than a miss.
+        kept = zip_longest(surprises, self.surprises_px[: len(surprises)], fillvalue=0.0)
+        return Track(sightings, tuple(max(new, _MEMORY * old) for new, old in kept))
 
     def predicted(self, target: Target, stamp_ns: int) -> Matrix3:
-        """Return where the target is expected: moved on by the last motion of the image, H1 H0^-1 H1."""
-        if self._prediction is None or self._prediction.stamp_ns != stamp_ns:
-            self._prediction = Sighting(self._led_on(target, stamp_ns), stamp_ns)
-        return self._prediction.H
+        """Return where the target is expected: (3, 3) H_image_template in ideal px."""
+        ways = self._led_on(target, stamp_ns).ways
+        if not self.surprises_px:
+            return ways[min(1, len(ways) - 1)]
+        told = self.surprises_px[: len(ways)]
+        return ways[told.index(min(told))]
 
-    def _led_on(self, target: Target, stamp_ns: int) -> Matrix3:
-        last, before = self.last, self.before
-        if before is None or last.stamp_ns <= before.stamp_ns:
-            return last.H
-        quotient = (stamp_ns - last.stamp_ns) / (last.stamp_ns - before.stamp_ns)
-        if not _STEADY[0] <= quotient <= _STEADY[1]:
-            return last.H
-        try:
-            moved = normalised_homography(last.H @ np.linalg.solve(before.H, last.H))
-        except (DegenerateConfiguration, np.linalg.LinAlgError):
-            return last.H
-        return moved if faces_camera(moved, target.outline_template) else last.H
+    def _led_on(self, target: Target, stamp_ns: int) -> _Expected:
+        """Return what the sightings lead to expect."""
+        if self._expected is None or self._expected.stamp_ns != stamp_ns:
+            ways = [self.last.H]
+            steady = self._steady(stamp_ns)
+            try:
+                if steady > 1:
+                    # The motion of the image, H1 H0^-1, and what became of the one before it.
+                    H2, H1 = (sighting.H for sighting in self.sightings[:2])
+                    motion = H2 @ np.linalg.inv(H1)
+                    ways.append(motion @ H2)
+                if steady > 2:
+                    change = motion @ self.sightings[2].H @ np.linalg.inv(H1)
+                    ways.append(change @ ways[1])
+            except np.linalg.LinAlgError:
+                pass
+            self._expected = _Expected(stamp_ns, _facing(ways, target))
+        return self._expected
+
+    def _steady(self, stamp_ns: int) -> int:
+        """Return how many sightings are as far apart in time as the last one is from now."""
+        now = stamp_ns - self.last.stamp_ns
+        count = 1
+        for later, earlier in pairwise(self.sightings):
+            interval = later.stamp_ns - earlier.stamp_ns
+            if not (interval > 0 and _STEADY[0] <= now / interval <= _STEADY[1]):
+                break
+            count += 1
+        return count
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Expected:
+    """Where sightings lead to at a time: one to three H_image_template, the ways of `Track` in their order."""
+
+    stamp_ns: int
+    ways: tuple[Matrix3, ...]
+
+
+def _facing(ways: Sequence[Matrix3], target: Target) -> tuple[Matrix3, ...]:
+    """Return the first one, and of the others as many as show the target's front, at unit norm."""
+    facing = [ways[0]]
+    for H in ways[1:]:
+        size = float(np.linalg.norm(H))
+        if not (0 < size < math.inf and (H[2] @ target.outline_homogeneous > 0).all()):
+            break
+        facing.append(H / size)
+    return tuple(facing)
+
+
+def _corners(homographies: Floats, target: Target) -> Floats:
+    """Return the outline's corners as homographies (N, 3, 3) map them, (N, 2, 4)."""
+    mapped = homographies @ target.outline_homogeneous
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
 def follow(

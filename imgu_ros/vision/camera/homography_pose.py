@@ -26,6 +26,22 @@ from imgu_ros.vision.projective.refine import tangent_basis
 _TOLERANCE = 1e-2
 
 
+def _by_step() -> tuple[Floats, Floats]:
+    """Return what makes the derivative of [r1 r2 t], row-major, by (x y z rx ry rz): (54, 12) of [R t], and (54,)."""
+    of_pose, constant = np.zeros((3, 3, 6, 3, 4)), np.zeros((3, 3, 6))
+    for axis in range(3):
+        constant[axis, 2, axis] = 1
+        # d (Exp(r) v) / dr = -[v]x
+        after, before = (axis + 1) % 3, (axis + 2) % 3
+        for column in (0, 1):
+            of_pose[axis, column, 3 + after, before, column] = 1
+            of_pose[axis, column, 3 + before, after, column] = -1
+    return of_pose.reshape(54, 12), constant.ravel()
+
+
+_BY_STEP, _BY_TRANSLATION = _by_step()
+
+
 def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_from_src: ArrayLike) -> PlanarPoses:
     """Estimate camera_from_plane from a homography's condensed correspondences.
 
@@ -78,34 +94,28 @@ class _PoseOfHomography:
 
     def __init__(self, homography: CondensedHomography, K: Matrix3, src_from_plane: Matrix3) -> None:
         self._homography = homography
-        h = homography.scaled.ravel()
         # H = A [r1 r2 t] M^-1, so that vec H = (A x M^-T) vec [r1 r2 t], row-major.
         M_inverse = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
         A = homography.T_dst @ K
         by_pose = (A[:, None, :, None] * M_inverse.T[None, :, None, :]).reshape(9, 9)
-        self._across = tangent_basis(homography.scaled).T @ by_pose
-        self._along = h @ by_pose
         try:
             self._whitening = np.linalg.cholesky(homography.normal).T
         except np.linalg.LinAlgError:
             raise DegenerateConfiguration(
                 "H: its points do not determine it; need points that span the plane"
             ) from None
+        # Eight whitened rows across the fitted homography, and one along it, which tells the scale.
+        self._by_pose = np.empty((9, 9))
+        self._by_pose[:8] = self._whitening @ (tangent_basis(homography.scaled).T @ by_pose)
+        self._by_pose[8] = homography.scaled.ravel() @ by_pose
         self._unit = float(homography.T_dst[0, 0])
 
     def linearise(self, estimate: Floats) -> Linearisation:
         """Return the whitened residuals and their derivative by (x y z rx ry rz): t + xyz, Exp(r) R."""
-        delta, scale = self._delta(estimate)
-        R = estimate[:3, :3]
-        by_step = np.zeros((3, 3, 6))
-        by_step[0, 2, 0] = by_step[1, 2, 1] = by_step[2, 2, 2] = 1
-        for column in (0, 1):
-            # d (Exp(r) v) / dr = -[v]x
-            x, y, z = R[:, column]
-            by_step[:, column, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-        flat = by_step.reshape(9, 6)
-        by_delta = (self._across @ flat - np.outer(delta, self._along @ flat)) / scale
-        return Linearisation((self._whitening @ delta)[:, None], (self._whitening @ by_delta)[:, None, :])
+        residuals, scale = self._residuals(estimate)
+        by_step = self._by_pose @ (_BY_STEP @ estimate[:3].ravel() + _BY_TRANSLATION).reshape(9, 6)
+        jacobian = (by_step[:8] - residuals[:, None] * by_step[8]) / scale
+        return Linearisation(residuals[:, None], jacobian[:, None, :])
 
     def step(self, estimate: Floats, delta: Floats) -> Floats:
         """Return the transform moved by (x y z rx ry rz)."""
@@ -124,7 +134,7 @@ class _PoseOfHomography:
 
     def rms_px(self, estimate: Floats) -> float:
         """Return the points' root mean square residual under a pose, per coordinate."""
-        residuals = self._whitening @ self._delta(estimate)[0]
+        residuals = self._residuals(estimate)[0]
         return self._rms_px(float(residuals @ residuals))
 
     def refined(self, start: RigidTransform) -> Pose:
@@ -145,13 +155,13 @@ class _PoseOfHomography:
         count = 2 * np.count_nonzero(self._homography.estimate.inliers)
         return math.sqrt((self._homography.squares + more_squares) / count) / self._unit
 
-    def _delta(self, estimate: Floats) -> tuple[Floats, float]:
-        columns = np.empty(9)
-        columns[[0, 3, 6]], columns[[1, 4, 7]], columns[[2, 5, 8]] = estimate[:3, 0], estimate[:3, 1], estimate[:3, 3]
-        scale = float(self._along @ columns)
+    def _residuals(self, estimate: Floats) -> tuple[Floats, float]:
+        """Return the whitened residuals, and by how much the pose's homography is longer than the fitted one."""
+        along = self._by_pose @ estimate[:3, [0, 1, 3]].ravel()
+        scale = float(along[8])
         if not scale > 0:
             raise DegenerateConfiguration("pose: the plane is behind the camera; need it in front")
-        return self._across @ columns / scale, scale
+        return along[:8] / scale, scale
 
 
 def _inverse(matrix: Floats, name: str) -> Floats:

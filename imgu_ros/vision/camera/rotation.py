@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3, as_matrix
@@ -52,7 +51,11 @@ def log_so3(R: ArrayLike) -> Floats:
     >>> log_so3([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).round(6).tolist()
     [0.0, 0.0, 1.570796]
     """
-    return np.asarray(Rotation.from_matrix(as_rotation(R)).as_rotvec(), np.float64)
+    # The quaternion keeps all digits at half turns, as the trace does not; of its vector, half the angle's sine is kept.
+    x, y, z, w = quaternion(R).tolist()
+    sine = math.hypot(x, y, z)
+    scale = 2 * math.atan2(sine, w) / sine if sine > 1e-150 else 2.0
+    return np.array([scale * x, scale * y, scale * z])
 
 
 def quaternion(R: ArrayLike) -> Floats:

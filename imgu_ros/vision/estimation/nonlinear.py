@@ -138,7 +138,7 @@ def minimise(
     converged = False
     iterations = 0
     while iterations < max_iterations and not converged:
-        normal, gradient = _normal_equations(current, weights)
+        normal, gradient = _normal_equations(current, None if loss is None else weights)
         accepted = False
         while iterations < max_iterations and not accepted:
             iterations += 1
@@ -168,24 +168,29 @@ def minimise(
 
 
 def _weighted(residuals: Floats, loss: Loss | None) -> tuple[Floats, float]:
-    squared = np.einsum("nd,nd->n", residuals, residuals)
-    weights, costs = (np.ones(len(squared)), squared) if loss is None else loss(squared)
-    cost = float(costs.sum())
+    if loss is None:
+        weights, cost = np.ones(len(residuals)), float(np.vdot(residuals, residuals))
+    else:
+        weights, costs = loss(np.einsum("nd,nd->n", residuals, residuals))
+        cost = float(costs.sum())
     if not math.isfinite(cost):
         raise DegenerateConfiguration("residuals: not finite; need an estimate at which they are defined")
     return weights, cost
 
 
-def _normal_equations(current: Linearisation, weights: Floats) -> tuple[Floats, Floats]:
-    root = np.sqrt(weights)
-    jacobian = (current.jacobian * root[:, None, None]).reshape(-1, current.jacobian.shape[2])
-    residuals = (current.residuals * root[:, None]).ravel()
-    return jacobian.T @ jacobian, jacobian.T @ residuals
+def _normal_equations(current: Linearisation, weights: Floats | None) -> tuple[Floats, Floats]:
+    jacobian, residuals = current.jacobian, current.residuals
+    if weights is not None:
+        root = np.sqrt(weights)
+        jacobian, residuals = jacobian * root[:, None, None], residuals * root[:, None]
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    return flat.T @ flat, flat.T @ residuals.ravel()
 
 
 def _newton_step(normal: Floats, gradient: Floats, damping: float) -> Floats:
     scale = _scale(normal)
-    scaled = normal / np.outer(scale, scale) + damping * np.eye(len(normal))
+    scaled = normal / (scale[:, None] * scale)
+    scaled.ravel()[:: len(scale) + 1] += damping
     try:
         return np.linalg.solve(scaled, -gradient / scale) / scale
     except np.linalg.LinAlgError:

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices, Mask, Points, as_image
@@ -180,6 +177,11 @@ def _nested(image: Image, found: Sequence[NDArray[np.int32]]) -> _Nested:
 
 def _families(nested: _Nested) -> Indices:
     """Return the number of the family of each region: of those at one place whose areas make a chain."""
+    # Imported here: they take some tenths of a second, and other detectors do without.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     radius = np.sqrt(nested.count / math.pi)
     band = np.floor(np.log2(radius)).astype(int)
     links = [np.zeros((0, 2), np.intp)]

@@ -96,11 +96,15 @@ class Patches:
     ----------
     chosen : (N,) their indices in the bank
     centres : (N, 2) px
+    bounds : left, top, right and bottom of the centres, px; empty without patches
     """
 
     def __init__(self, prepared: PreparedPatches) -> None:
         self.chosen = prepared.chosen
         self.centres = prepared.centres
+        self.bounds: tuple[float, ...] = ()
+        if len(self.centres):
+            self.bounds = (*self.centres.min(axis=0).tolist(), *self.centres.max(axis=0).tolist())
         self._side = prepared.window_px
         self._area = prepared.window_px**2
         self._overlap: Floats | None = None
@@ -109,8 +113,11 @@ class Patches:
         self._contrast = prepared.contrast
         half = prepared.window_px // 2
         offset = np.arange(-half, half + 1, dtype=np.float32)
-        self._x, self._y = (np.ascontiguousarray(grid.ravel()) for grid in np.meshgrid(offset, offset))
-        self._places = np.empty((3, len(self.chosen), self._area), np.float32)
+        x, y = (grid.ravel() for grid in np.meshgrid(offset, offset))
+        self._half = half
+        self._offsets = np.stack((np.ones_like(x), x, y))
+        self._homogeneous = np.vstack((self.centres.T, np.ones(len(self.centres))))
+        self._places = np.empty((3 * len(self.chosen), self._area), np.float32)
         self._seen = np.empty((len(self.chosen), self._area), np.float32)
 
     def __len__(self) -> int:
@@ -158,29 +165,55 @@ class Patches:
             )
         if not first:
             return np.zeros((0, self._area), picture.dtype)
-        # Its largest number may be as large or small as floats are.
-        H = H / (float(np.abs(H).max()) or 1.0)
-        at = self.centres[:first] @ H[:, :2].T + H[:, 2]
-        scale = float(at[:, 2].mean())
-        if not scale > _NEAREST or not at[:, 2].min() > 1e-6 * scale:
-            raise DegenerateConfiguration("H: a patch would lie behind the camera; need all in front")
-        x, y, w = self._places[:, :first]
-        single = (H / scale).astype(np.float32)
-        start = (at / scale).astype(np.float32)
-        for row, places in enumerate((x, y, w)):
-            np.add(start[:, row, None], single[row, 0] * self._x + single[row, 1] * self._y, out=places)
-        # A patch far larger than its distance to the vanishing line reaches beyond it: it is no use, but no error.
-        np.maximum(w, 1e-6, out=w)
+        numerators, plain = self._numerators(H, first, bend, sheet)
+        places = np.matmul(numerators, self._offsets, out=self._places[: 3 * first])
+        x, y, w = places[:first], places[first : 2 * first], places[2 * first :]
+        if not plain:
+            # A patch far larger than its distance to the vanishing line reaches beyond it: no use, but no error.
+            np.maximum(w, 1e-6, out=w)
         np.divide(x, w, out=x)
         np.divide(y, w, out=y)
-        if bend is not None:
-            _bend(x, y, bend)
-        if sheet is not None:
-            x += sheet.shift[:first, 0, None]
-            y += sheet.shift[:first, 1, None]
-        np.clip(x, -_FARTHEST, _FARTHEST, out=x)
-        np.clip(y, -_FARTHEST, _FARTHEST, out=y)
+        if not plain:
+            np.clip(x, -_FARTHEST, _FARTHEST, out=x)
+            np.clip(y, -_FARTHEST, _FARTHEST, out=y)
         return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    def _numerators(
+        self, H: Matrix3, first: int, bend: LocalBend | None, sheet: Sheet | None
+    ) -> tuple[NDArray[np.float32], bool]:
+        """Return the homogeneous places of the `first` patches' pixels as what is linear in (1, offset x, offset y).
+
+        Returns
+        -------
+        (3 N, 3): the first N for x, then those for y and for w, which is 1 on average; and whether all places are near
+        the picture, none near infinity
+        """
+        # Its largest number may be as large or small as floats are.
+        H = H / (float(np.abs(H).max()) or 1.0)
+        at = H @ self._homogeneous[:, :first]
+        scale, nearest = float(at[2].mean()), float(at[2].min())
+        if not scale > _NEAREST or not nearest > 1e-6 * scale:
+            raise DegenerateConfiguration("H: a patch would lie behind the camera; need all in front")
+        linear = np.empty((3, first, 3))
+        linear[:, :, 0] = at
+        linear[:, :, 1:] = H[:, None, :2]
+        linear /= scale
+        reach = self._half * float(np.abs(H[2, :2]).sum())
+        plain = nearest > 2 * reach
+        x, y, w = linear
+        if bend is not None:
+            start, end, by = _plain_bend(bend, first)
+            # end + by ((x, y) / w - start), times w
+            end = end - (by @ start[:, :, None])[:, :, 0]
+            bent_x = by[:, 0, :1] * x + by[:, 0, 1:] * y + end[:, :1] * w
+            linear[1] = by[:, 1, :1] * x + by[:, 1, 1:] * y + end[:, 1:] * w
+            linear[0] = bent_x
+        # Where w is at least half of what it is at the centre, places are at most twice as far away as these.
+        farthest = np.abs(linear[:2]).max() * (1 + 2 * self._half) * scale / nearest
+        if sheet is not None:
+            x += sheet.shift[:first, :1] * w
+            y += sheet.shift[:first, 1:] * w
+        return linear.astype(np.float32).reshape(-1, 3), plain and 2 * farthest < _FARTHEST
 
     @property
     def overlap(self) -> Floats:
@@ -241,24 +274,16 @@ def as_grey(image: Image, name: str) -> Image:
     return image
 
 
-def _bend(x: NDArray[np.float32], y: NDArray[np.float32], bend: LocalBend) -> None:
-    """Bend places about their centres, in place.
+def _plain_bend(bend: LocalBend, count: int) -> tuple[Points, Points, Floats]:
+    """Return a bend's arrays, checked.
 
     Raises
     ------
     ShapeError
-        If `bend` is of another number of points, or not finite.
+        If they are of another number of points, not finite, or no places in a picture.
     """
-    count = len(x)
     straight, bent = as_matrix(bend.straight, (count, 2), "straight"), as_matrix(bend.bent, (count, 2), "bent")
     by = as_matrix(bend.by_straight, (count, 2, 2), "by_straight")
     if not all(np.abs(a).max() < _BEYOND for a in (straight, bent, by)):
         raise ShapeError(f"bend: numbers of {_BEYOND:g} and more; need places in a picture")
-    # In single precision, as the places are.
-    start, end, slope = (a.astype(np.float32) for a in (straight, bent, by))
-    x -= start[:, 0, None]
-    y -= start[:, 1, None]
-    bent_x = end[:, 0, None] + slope[:, 0, 0, None] * x + slope[:, 0, 1, None] * y
-    y *= slope[:, 1, 1, None]
-    y += end[:, 1, None] + slope[:, 1, 0, None] * x
-    x[:] = bent_x
+    return straight, bent, by

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from imgu_ros.errors import NoConsensus, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_points
@@ -14,6 +13,7 @@ from imgu_ros.vision.estimation.nonlinear import Minimiser
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import Metric, checked_rows, require_comparable
+from imgu_ros.vision.matching.near import near_pairs
 from imgu_ros.vision.projective.estimate import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.refine import HomographyError
@@ -235,8 +235,11 @@ def _neighbours(src_xy: Points, dst_xy: Points, H: Floats, radius_px: float) -> 
     near = np.flatnonzero((np.abs(predicted) < _LARGEST_PX).all(axis=1))
     if not len(near) or not len(dst_xy):
         return _Pairs(np.zeros(0, np.intp), np.zeros(0, np.intp))
-    found = cKDTree(predicted[near]).sparse_distance_matrix(cKDTree(dst_xy), radius_px, output_type="ndarray")
-    return _Pairs(near[found["i"]], found["j"])
+    pairs = near_pairs(predicted[near], dst_xy, radius_px)
+    assert pairs is not None
+    src, dst = near[pairs.a], pairs.b
+    within = np.hypot(*(predicted[src] - dst_xy[dst]).T) <= radius_px
+    return _Pairs(src[within], dst[within])
 
 
 def _mapped(H: Floats, points: Points) -> tuple[Indices, Points]:

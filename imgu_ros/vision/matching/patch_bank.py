@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, Indices, Points, as_points
+from imgu_ros.types import Floats, Image, Indices, Points, as_points
 from imgu_ros.vision.matching.alignment import FLAT, LONGEST_PX, Patches, PreparedPatches, as_grey
 
 #: Smallest eigenvalue of a patch's normal matrix, scaled to a unit diagonal: below, it is flat or one straight edge.
@@ -26,6 +26,7 @@ class PatchBank:
     Attributes
     ----------
     centres : (M, 2) px, of the patches that fit
+    homogeneous : (3, M) the same, one a column, with a 1
     window_px : side of a patch
 
     Raises
@@ -57,6 +58,7 @@ class PatchBank:
         whole = np.rint(as_points(centres, "centres"))
         fits = (whole >= rim).all(axis=1) & (whole < np.array((width, height)) - rim).all(axis=1)
         self.centres: Points = np.ascontiguousarray(whole[fits])
+        self.homogeneous: Floats = np.vstack((self.centres.T, np.ones(len(self.centres))))
         self.window_px = window_px
         count, area = len(self.centres), window_px**2
         self._solvers = np.empty((count, 4, area), np.float32)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Indices, Points, as_points
 from imgu_ros.vision.matching.metrics import require_index
+from imgu_ros.vision.matching.near import near_pairs
 
 #: Most pairs that are kept; points so dense are compared anew each time.
 _MOST_PAIRS = 2**22
@@ -79,18 +79,7 @@ def find_places(xy: Points, radius_px: float) -> Places:
     [0, 2]
     """
     xy = as_points(xy, "xy")
-    if not 0 <= radius_px < np.inf:
-        raise ShapeError(f"radius_px: {radius_px!r}; need a number >= 0")
-    # Differences of such numbers stay finite.
-    if len(xy) and not np.abs(xy).max() < _LARGEST:
-        raise ShapeError(f"xy: up to {np.abs(xy).max():g}; need less than {_LARGEST:g}")
-    tree = cKDTree(xy)
-    if len(xy) and tree.count_neighbors(tree, radius_px, p=np.inf) > _MOST_PAIRS:
+    pairs = near_pairs(xy, xy, radius_px, _MOST_PAIRS)
+    if pairs is None:
         return Places(xy, radius_px, None, np.zeros(0, np.intp))
-    pairs = tree.sparse_distance_matrix(tree, radius_px, p=np.inf, output_type="ndarray")
-    order = np.lexsort((pairs["j"], pairs["i"]))
-    start = np.searchsorted(pairs["i"][order], np.arange(len(xy) + 1))
-    return Places(xy, radius_px, pairs["j"][order].astype(np.intp), start.astype(np.intp))
-
-
-_LARGEST = 1e300
+    return Places(xy, radius_px, pairs.b, np.searchsorted(pairs.a, np.arange(len(xy) + 1)))

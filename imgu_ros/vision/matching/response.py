@@ -43,7 +43,8 @@ class Response:
 
     def corrected(self, measured: ArrayLike) -> Points:
         """Return the true displacements (N, 2) of measured ones, (N, 2)."""
-        return np.asarray(_plain(measured, "measured") @ self._inverse.T)
+        measured = _plain(measured, "measured")
+        return measured if self._count == 0 else np.asarray(measured @ self._inverse.T)
 
     def learn(self, applied: ArrayLike, change: ArrayLike) -> None:
         """Take in what a motion brought.

@@ -10,7 +10,6 @@ from imgu_ros.types import IMAGE_DTYPES, Image, as_points
 
 #: OpenCV's maps hold 16-bit places.
 TALLEST_PX = 32000
-_DTYPES = tuple(np.dtype(d) for d in IMAGE_DTYPES)
 
 
 class Sheet:
@@ -44,15 +43,16 @@ class Sheet:
 
     def __init__(self, origins: ArrayLike, side: int) -> None:
         corners = as_points(origins, "origins", 1)
-        if side < 4 or corners.min() < 0 or not np.array_equal(corners, np.rint(corners)) or corners.max() > 1e6:
+        self.origins = corners.astype(np.intp) if np.abs(corners).max() <= 1e6 else np.zeros((0, 2), np.intp)
+        if side < 4 or corners.min() < 0 or not np.array_equal(corners, self.origins):
             raise ShapeError(
                 f"origins, side: {corners.min():g} to {corners.max():g}, {side}; need whole px >= 0, at least 4"
             )
         if len(corners) * side > TALLEST_PX:
             raise ShapeError(f"origins, side: {len(corners)} squares of {side} px; need at most {TALLEST_PX} px in all")
-        self.origins = corners.astype(np.intp)
         self.side = side
-        self.shift: NDArray[np.float32] = -self.origins.astype(np.float32)
+        self._right, self._bottom = (self.origins.max(axis=0) + side).tolist()
+        self.shift: NDArray[np.float32] = -corners.astype(np.float32)
         self.shift[:, 1] += np.arange(0, len(corners) * side, side, dtype=np.float32)
 
     def cut(self, picture: Image) -> Image:
@@ -63,18 +63,19 @@ class Sheet:
         ShapeError
             If it is no picture, a square reaches beyond it, or what a square holds is not finite.
         """
-        if not isinstance(picture, np.ndarray) or picture.dtype.newbyteorder("=") not in _DTYPES:
+        if not isinstance(picture, np.ndarray) or picture.dtype.type not in IMAGE_DTYPES:
             kind = getattr(picture, "dtype", type(picture).__name__)
             raise ShapeError(f"picture: {kind}; need an array of uint8, uint16 or float32")
-        if picture.ndim != 2 or (self.origins.max(axis=0) + self.side > picture.shape[::-1]).any():
+        if picture.ndim != 2 or picture.shape[0] < self._bottom or picture.shape[1] < self._right:
             raise ShapeError(f"picture: shape {picture.shape}; need (H, W) that holds every square")
         height, width = picture.shape
-        # A view of the square at every pixel; numpy's own function for it takes longer than the cutting.
-        squares = np.lib.stride_tricks.as_strided(
-            picture,
+        # A view of the square at every pixel; numpy's own functions for it take longer than the cutting.
+        picture = np.ascontiguousarray(picture)
+        squares: Image = np.ndarray(
             (height - self.side + 1, width - self.side + 1, self.side, self.side),
-            picture.strides * 2,
-            writeable=False,
+            picture.dtype,
+            picture,
+            strides=picture.strides * 2,
         )
         cut: Image = squares[self.origins[:, 1], self.origins[:, 0]]
         if cut.dtype.kind == "f" and not np.isfinite(cut).all():

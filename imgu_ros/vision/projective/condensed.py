@@ -16,7 +16,7 @@ from imgu_ros.vision.projective.estimate import unscaled
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
 from imgu_ros.vision.projective.refine import tangent_basis
-from imgu_ros.vision.projective.transform import local_jacobian, normalised_homography, transform
+from imgu_ros.vision.projective.transform import area_factor, local_jacobian, normalised_homography, transform
 
 _OUTLIER_SIGMAS = 3.6
 _FLOOR_PX = 0.02
@@ -118,11 +118,12 @@ def condensed_homography(
         raise ShapeError(f"displacements: up to {np.abs(displacements).max():g}; need places in a picture")
     T_dst = _unit_similarity(H_dst_points, motions)
     # Errors are alike in the picture, not in the plane: of a plane seen obliquely its far side is known less well.
-    metric = float(T_dst[0, 0]) * unit * local_jacobian(H_dst_points, transform(motions.back, by[:, 0, :2]))
+    metric = float(T_dst[0, 0]) * unit * local_jacobian(H_dst_points, motions.points)
     by = metric @ by
     moved = (metric @ displacements[:, :, None])[:, :, 0] / unit
-    away = moved - by @ start.parameters
-    squared = np.einsum("ni,ni->n", away, away)
+    away = moved - (by.reshape(-1, 8) @ start.parameters).reshape(-1, 2)
+    away *= away
+    squared = away[:, 0] + away[:, 1]
     used = squared[start.agreeing]
     if len(used) < min_points:
         raise NoConsensus(f"displacements: {len(used)} agree; need {min_points}")
@@ -138,16 +139,16 @@ def condensed_homography(
         # What is left out becomes zero: cheaper than to pick the others out of all pairs.
         by, moved = by * kept[:, None, None], moved * kept[:, None]
     sums = motion_sums(by, correlation)
-    rows = by.reshape(-1, 8)
+    rows, moved = by.reshape(-1, 8), moved.ravel()
     inverse = _inverse(sums.normal)
-    motion = inverse @ (rows.T @ moved.ravel())
-    left = moved.ravel() - rows @ motion
+    motion = inverse @ (moved @ rows)
+    left = moved - rows @ motion
     # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
     taken = float(np.vdot(inverse, sums.middle))
     squares = float(left @ left)
     noise = math.sqrt(squares / max(2 * count - taken, 1.0))
     # The picture at H(x - d) shows x: H is followed by the inverse of the motion by d.
-    H = H_dst_points @ _inverted(motions.matrix(motion), "displacements")
+    H = H_dst_points @ motions.inverse(motion)
     T_src = motions.normalised @ points_from_src
     scaled = normalised_homography(T_dst @ H @ motions.back)
     basis = tangent_basis(scaled)
@@ -175,10 +176,9 @@ def _plain(matrix: Matrix3, name: str) -> Matrix3:
 
 def _unit_similarity(H: Matrix3, motions: PlaneMotion) -> Matrix3:
     """Return the similarity of the picture that makes a unit of the points a unit, at their centre, and centres it."""
-    centre = motions.back[:2, 2][None]
-    jacobian = local_jacobian(H, centre)[0]
-    factor = 1 / (motions.unit_px * math.sqrt(max(abs(float(np.linalg.det(jacobian))), _SMALLEST_AREA)))
-    x, y = transform(H, centre)[0]
+    centre = motions.back[:2, 2]
+    factor = 1 / (motions.unit_px * math.sqrt(max(area_factor(H, centre), _SMALLEST_AREA)))
+    ((x, y),) = transform(H, centre[None]).tolist()
     return np.array([[factor, 0, -factor * x], [0, factor, -factor * y], [0, 0, 1]])
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import lapack
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
@@ -17,6 +18,7 @@ _CAUCHY_ROUNDS = 2
 _TUKEY_ROUNDS = 2
 _TUKEY = 4.685  # 95 % efficient for normal errors
 _LARGEST_MOTION = 1e3
+_LEAST_DETERMINANT = 1e-9
 #: Displacements and deviations beyond these are none of a picture's; their squares are plain floats.
 _LARGEST_PX = 1e12
 _SMALLEST_PX = 1e-9
@@ -29,14 +31,12 @@ class Motion:
 
     Attributes
     ----------
-    matrix : (3, 3) moved ~ matrix @ point; near the identity
-    parameters : (8,) the same, of normalised points: I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]]
+    parameters : (8,) of the homography I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]] of the normalised points
     agreeing : (N,) displacements that are not improbably far from it
     sigma_px : robust standard deviation of one coordinate
     largest_px : the farthest that it moves one of the points
     """
 
-    matrix: Matrix3
     parameters: Floats
     agreeing: Mask
     sigma_px: float
@@ -56,6 +56,7 @@ class PlaneMotion:
 
     Attributes
     ----------
+    points : (N, 2) px, as given
     unit_px : length of a unit of the normalised points
     normalised : (3, 3) normalised points from px
     back : (3, 3) px from normalised points
@@ -73,8 +74,9 @@ class PlaneMotion:
     >>> points = np.array([[0, 0], [100, 0], [100, 100], [0, 100], [50, 50], [20, 70]])
     >>> displacements = 0.1 * (points - 50)
     >>> displacements[4] = 9
-    >>> motion = PlaneMotion(points, affine=True).fit(displacements, np.ones(6, bool))
-    >>> motion.matrix.round(3).tolist()[0], motion.agreeing.tolist()
+    >>> motions = PlaneMotion(points, affine=True)
+    >>> motion = motions.fit(displacements, np.ones(6, bool))
+    >>> motions.matrix(motion.parameters).round(3).tolist()[0], motion.agreeing.tolist()
     ([1.1, 0.0, -5.0], [True, True, True, True, False, True])
     """
 
@@ -82,6 +84,7 @@ class PlaneMotion:
         points = as_points(points, "points", 1)
         if not np.abs(points).max() < _LARGEST_PX:
             raise ShapeError(f"points: up to {np.abs(points).max():g}; need less than {_LARGEST_PX:g} px")
+        self.points = points
         centre = points.mean(axis=0)
         self.unit_px = float(np.sqrt(((points - centre) ** 2).mean()))
         if not self.unit_px > _SMALLEST_PX:
@@ -97,6 +100,8 @@ class PlaneMotion:
             by[:, 0, 6], by[:, 0, 7] = -x * x, -x * y
             by[:, 1, 6], by[:, 1, 7] = -x * y, -y * y
         self.by_parameters = by
+        # J^T J of each point: their weighted sum is one product of a vector and a matrix.
+        self._products = np.einsum("nip,niq->npq", by, by).reshape(len(points), -1)
 
     def fit(self, displacements: Points, usable: Mask, floor_px: float = 0.01, before: Motion | None = None) -> Motion:
         """Fit the motion that most displacements agree on.
@@ -128,11 +133,11 @@ class PlaneMotion:
             raise ShapeError(f"displacements: not finite, or too large; need less than {_LARGEST_PX:g} px")
         if not _SMALLEST_PX <= floor_px <= _LARGEST_PX:
             raise ShapeError(f"floor_px: {floor_px!r}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
-        by = self.by_parameters[:count]
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
             raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
         moved = displacements / self.unit_px
+        rows = self.by_parameters[:count].reshape(-1, parameters)
         floor = floor_px / self.unit_px
         weights = usable.astype(np.float64)
         cauchy_rounds, rounds = _CAUCHY_ROUNDS, _CAUCHY_ROUNDS + _TUKEY_ROUNDS
@@ -142,27 +147,32 @@ class PlaneMotion:
             if len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
                 weights *= before.agreeing
                 cauchy_rounds, rounds = 0, 1
-        motion, squared, sigma = np.zeros(parameters), np.zeros(count), floor
+        motion, moving, sigma = np.zeros(parameters), np.zeros((count, 2)), floor
         for turn in range(rounds):
-            motion = _solved(by, moved, weights)
-            away = moved - by @ motion
-            squared = np.einsum("ni,ni->n", away, away)
+            motion = self._solved(moved, weights)
+            moving = (rows @ motion).reshape(count, 2)
+            away = moved - moving
+            away *= away
+            squared = away[:, 0] + away[:, 1]
             # The distance that half of them are within; np.median takes ten times as long.
-            middle = float(np.partition(squared[usable], used // 2)[used // 2])
-            sigma = max(math.sqrt(middle) / _RAYLEIGH_MEDIAN, floor)
+            told = squared if used == count else squared[usable]
+            sigma = max(math.sqrt(float(np.partition(told, used // 2)[used // 2])) / _RAYLEIGH_MEDIAN, floor)
             if turn < cauchy_rounds:
                 weights = usable / (1 + squared / (2 * sigma) ** 2)
             else:
-                weights = usable * np.maximum(1 - squared / (_TUKEY * sigma) ** 2, 0) ** 2
-        largest = float(np.abs(by @ motion).max()) * self.unit_px
+                weights = np.maximum(1 - squared / (_TUKEY * sigma) ** 2, 0)
+                weights *= weights
+                weights *= usable
+        largest = float(np.abs(moving).max()) * self.unit_px
         all_eight = np.zeros(8)
         all_eight[:parameters] = motion
-        return Motion(self.matrix(all_eight), all_eight, weights > 0, sigma * self.unit_px, largest)
+        return Motion(all_eight, weights > 0, sigma * self.unit_px, largest)
 
     def displacements(self, motion: Motion, first: int) -> Points:
         """Return by how far a `motion` moves the `first` points, (N, 2) px."""
         parameters = self.by_parameters.shape[2]
-        return np.asarray(self.by_parameters[:first] @ motion.parameters[:parameters] * self.unit_px)
+        rows = self.by_parameters[:first].reshape(-1, parameters)
+        return np.asarray((rows @ motion.parameters[:parameters]).reshape(first, 2) * self.unit_px)
 
     def matrix(self, motion: Floats) -> Matrix3:
         """Return the homography (3, 3) of px that a motion's parameters, (8,), stand for.
@@ -172,12 +182,49 @@ class PlaneMotion:
         ShapeError
             If they are no eight numbers, or too large.
         """
-        motion = as_floats(motion, "motion")
-        if motion.shape != (8,) or not np.abs(motion).max() < _LARGEST_PX:
-            raise ShapeError(f"motion: shape {motion.shape}; need (8,), less than {_LARGEST_PX:g}")
-        near_identity = np.eye(3)
-        near_identity.ravel()[:8] += motion
-        return np.asarray(self.back @ near_identity @ self.normalised)
+        a, b, c, d, e, f, g, h = _eight(motion)
+        return np.asarray(self.back @ [[1 + a, b, c], [d, 1 + e, f], [g, h, 1]] @ self.normalised)
+
+    def inverse(self, motion: Floats) -> Matrix3:
+        """Return the homography (3, 3) of px that takes a motion back.
+
+        Raises
+        ------
+        ShapeError
+            As for `matrix`.
+        DegenerateConfiguration
+            If the motion squeezes the plane to a line or turns it over.
+        """
+        a, b, c, d, e, f, g, h = _eight(motion)
+        a, e = a + 1, e + 1
+        if not a * (e - f * h) - b * (d - f * g) + c * (d * h - e * g) > _LEAST_DETERMINANT:
+            raise DegenerateConfiguration("motion: it squeezes the plane to a line or turns it over; need a small one")
+        # A homography has no unit: the adjugate is its inverse.
+        adjugate = [
+            [e - f * h, c * h - b, b * f - c * e],
+            [f * g - d, a - c * g, c * d - a * f],
+            [d * h - e * g, b * g - a * h, a * e - b * d],
+        ]
+        return np.asarray(self.back @ adjugate @ self.normalised)
+
+    def _solved(self, moved: Points, weights: Floats) -> Floats:
+        """Return the weighted least-squares motion, (P,), of the first normalised points."""
+        count, parameters = len(moved), self.by_parameters.shape[2]
+        normal = (weights @ self._products[:count]).reshape(parameters, parameters)
+        right = (weights[:, None] * moved).ravel() @ self.by_parameters[:count].reshape(-1, parameters)
+        # LAPACK alone: what numpy does around it takes three times as long.
+        _, motion, failed = lapack.dposv(normal, right)
+        # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
+        if failed or not np.abs(motion).max() < _LARGEST_MOTION:
+            raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
+        return np.asarray(motion, np.float64)
+
+
+def _eight(motion: Floats) -> list[float]:
+    motion = as_floats(motion, "motion")
+    if motion.shape != (8,) or not np.abs(motion).max() < _LARGEST_PX:
+        raise ShapeError(f"motion: shape {motion.shape}; need (8,), less than {_LARGEST_PX:g}")
+    return list(motion.tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,16 +268,3 @@ def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> Mot
     if not np.isfinite(middle).all():
         raise ShapeError("correlation: numbers that are not finite, or too large; need -1 to 1")
     return MotionSums(normal, middle)
-
-
-def _solved(by: Floats, moved: Points, weights: Floats) -> Floats:
-    """Return the weighted least-squares motion (P,) of by (N, 2, P) motion = moved (N, 2)."""
-    rows = (by * weights[:, None, None]).reshape(-1, by.shape[2])
-    try:
-        motion = np.linalg.solve(rows.T @ by.reshape(rows.shape), rows.T @ moved.ravel())
-    except np.linalg.LinAlgError:
-        motion = np.full(rows.shape[1], np.inf)
-    # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
-    if not np.abs(motion).max() < _LARGEST_MOTION:
-        raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
-    return np.asarray(motion, np.float64)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -57,9 +60,41 @@ def local_jacobian(H: ArrayLike, points: ArrayLike) -> Floats:
     xy, w = _mapped(H, points)
     with np.errstate(over="ignore", invalid="ignore"):
         jacobian: Floats = (H[None, :2, :2] - xy[:, :, None] * H[2, :2]) / w[:, None, None]
-    if not np.isfinite(jacobian).all():
+    if not math.isfinite(np.vdot(jacobian, jacobian)):
         raise DegenerateConfiguration("H: its derivative is beyond floats; need points off the vanishing line")
     return jacobian
+
+
+def area_factor(H: ArrayLike, point: Sequence[float]) -> float:
+    """Return by how much a homography enlarges areas at a point: |det| of the local Jacobian.
+
+    Parameters
+    ----------
+    H : (3, 3)
+    point : x, y
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If the point is mapped to infinity.
+    ShapeError
+        If H or the point is not as said.
+
+    Examples
+    --------
+    >>> area_factor([[2, 0, 0], [0, 3, 0], [0, 0, 1]], (5, 5))
+    6.0
+    """
+    H, (x, y) = as_matrix(H, (3, 3), "H"), as_matrix(point, (2,), "point").tolist()
+    g, h, i = H[2].tolist()
+    w = g * x + h * y + i
+    try:
+        factor = abs(_determinant(H) / w**3)
+    except (ZeroDivisionError, OverflowError):
+        factor = math.inf
+    if not math.isfinite(factor):
+        raise DegenerateConfiguration("point: it is mapped to infinity by H; need one off the vanishing line")
+    return factor
 
 
 def normalised_homography(H: ArrayLike) -> Matrix3:
@@ -85,7 +120,7 @@ def normalised_homography(H: ArrayLike) -> Matrix3:
         raise DegenerateConfiguration("H: all zero; need a homography")
     if not _PLAIN[0] < largest < _PLAIN[1]:
         H = H / largest
-    return H * ((1 if np.linalg.det(H) >= 0 else -1) / float(np.linalg.norm(H)))
+    return H * ((1 if _determinant(H) >= 0 else -1) / math.sqrt(float(np.vdot(H, H))))
 
 
 def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
@@ -112,12 +147,20 @@ def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
         return bool((points @ third[:2] + third[2] > 0).all())
 
 
+def _determinant(H: Matrix3) -> float:
+    (a, b, c), (d, e, f), (g, h, i) = H.tolist()
+    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+
+
 def _mapped(H: Matrix3, points: Points) -> tuple[Points, Floats]:
     """Return the mapped points, and the third homogeneous coordinate of each."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         mapped = points @ H[:, :2].T + H[:, 2]
         w = mapped[:, 2]
         xy = mapped[:, :2] / w[:, None]
-    if not (np.isfinite(xy).all() and np.isfinite(w).all()):
+    # Squares of what is no place in any picture may overflow: only then is every number looked at.
+    if not math.isfinite(np.vdot(mapped, mapped) + np.vdot(xy, xy)) and not (
+        np.isfinite(xy).all() and np.isfinite(w).all()
+    ):
         raise DegenerateConfiguration("points: one is mapped to infinity by H; need points off the vanishing line")
     return xy, w

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import ive
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats
@@ -84,6 +83,8 @@ def discrete_gaussian(sigma: float, reach: int | None = None) -> Floats:
     variance = sigma * sigma
     if variance == 0:
         return _one(reach)
+    from scipy.special import ive  # takes a tenth of a second to import, and few need it
+
     half = ive(np.arange(reach + 1, dtype=np.float64), variance)
     return np.concatenate([half[:0:-1], half])
 

@@ -51,6 +51,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "usable": np.arange(12) != 7,
         "floor_px": 0.01,
     },
+    PlaneMotion.inverse: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},
     PlaneMotion.matrix: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},
     motion_sums: lambda rng: {
         "by_parameters": rng.normal(size=(6, 2, 8)),

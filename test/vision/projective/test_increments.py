@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from imgu_ros.errors import NoConsensus, ShapeError
+from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.projective.increments import PlaneMotion, motion_sums
 from imgu_ros.vision.projective.transform import transform
@@ -27,7 +27,7 @@ def test_the_motion_that_moved_the_points_is_found(parameters: list[float], affi
     moved = transform(motions.matrix(motion), POINTS) - POINTS
     found = motions.fit(moved, ALL)
     # To first order: what is left is of the size of the motion squared.
-    assert_allclose(transform(found.matrix, POINTS) - POINTS, moved, atol=2e-3)
+    assert_allclose(transform(motions.matrix(found.parameters), POINTS) - POINTS, moved, atol=2e-3)
     assert found.largest_px == pytest.approx(np.abs(moved).max(), abs=2e-3)
     assert_allclose(found.parameters, motion, atol=1e-5)
 
@@ -44,7 +44,7 @@ def test_most_displacements_decide(wrong: float) -> None:
     far = bad & (np.hypot(*(moved - transform(matrix, POINTS) + POINTS).T) > 0.5)
     assert found.agreeing[far].mean() < 0.05
     assert found.agreeing[~bad].mean() > 0.95
-    assert_allclose(transform(found.matrix, POINTS), transform(matrix, POINTS), atol=0.12)
+    assert_allclose(transform(motions.matrix(found.parameters), POINTS), transform(matrix, POINTS), atol=0.12)
     assert found.sigma_px == pytest.approx(0.05, rel=0.6 if wrong < 0.4 else 2.0)
 
 
@@ -55,13 +55,13 @@ def test_unusable_ones_do_not_count_and_the_first_ones_do_alone() -> None:
     usable[::2] = False
     moved[::2] = 100.0
     found = motions.fit(moved, usable)
-    assert_allclose(transform(found.matrix, POINTS) - POINTS, np.tile([0.4, -0.2], (len(POINTS), 1)), atol=1e-3)
+    assert_allclose(transform(motions.matrix(found.parameters), POINTS) - POINTS, np.tile([0.4, -0.2], (len(POINTS), 1)), atol=1e-3)
     assert not found.agreeing[::2].any() and found.agreeing[1::2].all()
     first = motions.fit(moved[:30], usable[:30])
     assert len(first.agreeing) == 30
     again = motions.fit(moved, usable, before=first)
-    assert_allclose(again.matrix, found.matrix, atol=1e-6)
-    assert_allclose(motions.fit(moved, usable, before=found).matrix, found.matrix, atol=1e-6)
+    assert_allclose(again.parameters, found.parameters, atol=1e-6)
+    assert_allclose(motions.fit(moved, usable, before=found).parameters, found.parameters, atol=1e-6)
 
 
 def test_sums_are_those_of_the_propagated_covariance() -> None:
@@ -85,3 +85,13 @@ def test_too_few_and_misfitting_arrays_are_refused() -> None:
         motions.fit(np.zeros((121, 2)), np.ones(121, bool))
     with pytest.raises(ShapeError):
         PlaneMotion(np.zeros((0, 2)))
+
+
+def test_the_inverse_takes_a_motion_back() -> None:
+    motions = PlaneMotion(POINTS)
+    motion = np.random.default_rng(2).normal(0, 0.05, 8)
+    product = motions.inverse(motion) @ motions.matrix(motion)
+    assert_allclose(product / product[2, 2], np.eye(3), atol=1e-9)
+    for squeezed in ([-1.0, 0, 0, 0, 0, 0, 0, 0], [-2.0, 0, 0, 0, 0, 0, 0, 0]):
+        with pytest.raises(DegenerateConfiguration, match="motion"):
+            motions.inverse(np.array(squeezed))
