@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration
@@ -72,7 +71,9 @@ def rq(matrix: ArrayLike) -> tuple[Matrix3, Matrix3]:
     """
     matrix = as_matrix(matrix, (3, 3), "matrix")
     scale = float(np.abs(matrix).max()) or 1.0
-    upper, orthogonal = scipy.linalg.rq(matrix / scale)
+    # QR of the transposed rows from the last to the first, back in order, is RQ.
+    q, r = np.linalg.qr((matrix / scale)[::-1].T)
+    upper, orthogonal = r.T[::-1, ::-1], q.T[::-1]
     diagonal = np.diag(upper)
     if not np.abs(diagonal).min() > 0:
         raise DegenerateConfiguration("matrix: singular; need a regular one")

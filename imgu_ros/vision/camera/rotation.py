@@ -51,7 +51,7 @@ def log_so3(R: ArrayLike) -> Floats:
     >>> log_so3([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).round(6).tolist()
     [0.0, 0.0, 1.570796]
     """
-    # The quaternion keeps all digits at half turns, as the trace does not; of its vector, half the angle's sine is kept.
+    # The quaternion keeps all digits, at half turns as well as at small ones.
     x, y, z, w = quaternion(R).tolist()
     sine = math.hypot(x, y, z)
     scale = 2 * math.atan2(sine, w) / sine if sine > 1e-150 else 2.0

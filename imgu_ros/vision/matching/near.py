@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +92,7 @@ def _blocks(count: Indices) -> list[slice]:
     """Return stretches of rows with few candidates each, in all."""
     number = np.cumsum(count) // _AT_ONCE
     starts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(count)]
-    return [slice(start, end) for start, end in zip(starts, starts[1:], strict=False)]
+    return [slice(start, end) for start, end in itertools.pairwise(starts)]
 
 
 def _compared(a_xy: Points, b_xy: Points, radius_px: float, ranges: _Ranges, rows: slice) -> NearPairs:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.errors import ShapeError
 from imgu_ros.types import Indices, Points, as_points
 from imgu_ros.vision.matching.metrics import require_index
 from imgu_ros.vision.matching.near import near_pairs

@@ -21,6 +21,7 @@ from imgu_ros.vision.matching.metrics import (
     require_comparable,
     require_index,
 )
+from imgu_ros.vision.matching.near import near_pairs
 from imgu_ros.vision.matching.nearest import match, match_to_gallery
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
 from imgu_ros.vision.matching.patches import ncc, ssd, zmssd
@@ -113,6 +114,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     },
     build_index: lambda rng: {"pictures": [bits(rng, 5), bits(rng, 4)], "seed": 1},
     DescriptorIndex.votes: lambda rng: {"self": build_index([bits(rng, 9), bits(rng, 9)]), "rows": bits(rng, 4)},
+    near_pairs: lambda rng: {"a_xy": places(rng, 9), "b_xy": places(rng, 5), "radius_px": 20.0, "most": 99},
     find_places: lambda rng: {"xy": places(rng, 9), "radius_px": 20.0},
     Places.at: lambda rng: {"self": find_places(places(rng, 9), 20.0), "points": rng.integers(0, 9, 4)},
     ssd: lambda rng: {"a": rng.uniform(size=(3, 4)), "b": rng.uniform(size=(3, 4))},
