@@ -282,8 +282,8 @@ class HomographyParameters:
 class SearchParameters:
     thorough: bool = parameter(
         True,
-        "When no target was found in a frame, look once more, thoroughly: with more pixels, scales and keypoints, and "
-        "for oblique views.",
+        "When no target was found in a frame, look again: for one that is near, then thoroughly, with more pixels, "
+        "scales and keypoints, and for oblique views.",
     )
     max_side_px: int = parameter(
         1920, "Longest side of level 0 in a thorough search.", unit="px", minimum=64, maximum=16384

@@ -26,7 +26,7 @@ _DIRECT = 3
 #: Failures after which the less likely targets are left.
 _FAILURES = 3
 #: Votes without which a target is not looked for.
-_FEWEST_VOTES = {Look.FIRST: 3, Look.CLOSE: 3, Look.THOROUGH: 5}
+_FEWEST_VOTES = {Look.FIRST: 3, Look.CLOSE: 5, Look.THOROUGH: 5}
 #: What is known to be covered is drawn at an eighth of the resolution.
 _MASK_STEP = 8
 

@@ -14,12 +14,15 @@ from imgu_ros.perception.develop import develop
 from imgu_ros.perception.features import find_features, thoroughly
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.result import Status
+from imgu_ros.perception.search import Look
 from imgu_ros.perception.targets import TargetImage, prepare_targets
 from imgu_ros.simulate.conditions import condition_named
 from imgu_ros.simulate.sequence import SimulatedFrame, default_targets
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
+from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+from imgu_ros.vision.projective.transform import transform
 
 ALONE = {"tracking.enabled": False}
 
@@ -48,8 +51,8 @@ def test_two_of_ten(
         assert found == [4, 8]
         not_sought = [t for t in result.targets if t.status is Status.LOST]
         assert all(t.reason for t in not_sought)
-    # Each look may fail three times before the less likely ones are left.
-    assert len(looked_for) <= 3 * (2 + 3 + 3)
+    # Each of the three looks may fail three times before the less likely ones are left.
+    assert len(looked_for) <= 3 * (2 + 3 * 3)
 
 
 def test_few_targets_are_all_looked_for(two_target_frames: tuple[SimulatedFrame, ...], targets: tuple) -> None:
@@ -59,8 +62,8 @@ def test_few_targets_are_all_looked_for(two_target_frames: tuple[SimulatedFrame,
         np.testing.assert_array_equal(a.homography.H, b.homography.H)
 
 
-@pytest.mark.parametrize("condition", ["tilt-60", "size-10"])
-def test_a_thorough_search_finds_what_a_first_look_does_not(condition: str) -> None:
+@pytest.mark.parametrize("condition", ["tilt-60", "size-10", "size-300"])
+def test_a_second_look_finds_what_a_first_look_does_not(condition: str) -> None:
     trial = Trial(condition_named(condition), 1280, 720, 3, seed=2, unrelated=True)
     counts = []
     for thorough in (True, False):
@@ -69,6 +72,37 @@ def test_a_thorough_search_finds_what_a_first_look_does_not(condition: str) -> N
         chain.prepare()
         counts.append(sum(chain.process(f.frame).targets[0].status.found for f in trial_frames(trial)))
     assert counts[0] == 3 >= counts[1]
+
+
+@pytest.mark.parametrize("reduced", [1, 2])
+def test_a_target_that_is_near_needs_no_thorough_search(reduced: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three times as wide as a frame of 1080p, by a picture of 1280 px and by one of 640."""
+    trial = Trial(condition_named("size-300"), 1920, 1080, 2, unrelated=True)
+    known = known_targets(trial)[0]
+    picture = cv2.resize(known.pixels, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA)
+    parameters = parameters_from(ALONE)
+    chain = Chain(parameters, prepare_targets([TargetImage(known.name, picture, known.width_m)], parameters))
+    looks = []
+    search = seeking.search
+    monkeypatch.setattr(
+        seeking, "search", lambda t, i, what, *rest: looks.append(what.look) or search(t, i, what, *rest)
+    )
+    shift = reduced / 2 - 0.5
+    full_from_reduced = np.array([[reduced, 0, shift], [0, reduced, shift], [0, 0, 1]])
+    for simulated in trial_frames(trial):
+        looks.clear()
+        result = chain.process(simulated.frame).targets[0]
+        assert result.status is Status.DETECTED, result.reason
+        assert looks == [Look.FIRST, Look.CLOSE]
+        true = simulated.truths[0].H @ full_from_reduced
+        size = picture.shape[1], picture.shape[0]
+        assert corner_error(result.homography.H, true, size, (1920, 1080), simulated.frame.camera) < 1.0
+        # Matches, which no patch has improved, lie where the truth says, to a part of a template px on average.
+        agreed = result.matches.inliers
+        assert agreed.sum() >= 12
+        aside = transform(np.linalg.inv(true), result.matches.image_xy[agreed]) - result.matches.template_xy[agreed]
+        assert np.abs(np.median(aside, axis=0)).max() < 0.25
+        assert (result.matches.matches.index_src[agreed] == -1).all()
 
 
 def test_what_was_found_is_not_looked_at_again(targets: tuple, two_target_frames: tuple[SimulatedFrame, ...]) -> None:
