@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from imgu_ros.bags.output_folder import RESULTS
+from imgu_ros.bags.result_sink import Written
 from imgu_ros.bags.results_bag import ResultsBag
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.pose_files import PoseFiles
 from imgu_ros.params import Parameters
-from imgu_ros.perception.result import Result
 from imgu_ros.report.samples import Samples
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Written:
-    """One frame's result, and when the bag recorded the frame."""
-
-    result: Result
-    time_ns: int
 
 
 class ResultFiles:

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.recorded_topics import FRAME_TOPICS, TARGET_TOPICS, checked_record, pyramid_level
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.codec.geometry import PathHistory
 from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS, level_message, picture_message
-from imgu_ros.errors import ParameterError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.result import Result, TargetResult
 from imgu_ros.report.overlay import draw_result
-
-#: Always recorded.
-FRAME_TOPICS = ("homography", "status")
-TARGET_TOPICS = ("outline", "pose", "odom")
-#: Recorded on request; beside them `pyramid/level_<k>`.
-OPTIONAL_TOPICS = ("keypoints", "matches", "path", "image_color", "image_mono", "debug_image")
-
-_LEVEL = re.compile(r"pyramid/level_(\d{1,2})")
 
 
 class ResultsBag:
@@ -77,29 +67,10 @@ class ResultsBag:
             self._writer.write(f"/{topic}", message, time_ns, *also)
 
 
-def checked_record(record: Sequence[str]) -> tuple[str, ...]:
-    """Return the topics to record, relative and each once.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such output; the message names the nearest.
-    """
-    names = tuple(dict.fromkeys(name.removeprefix("/") for name in record))
-    for name in names:
-        if name not in OPTIONAL_TOPICS and not _LEVEL.fullmatch(name) and name not in FRAME_TOPICS + TARGET_TOPICS:
-            near = difflib.get_close_matches(name, OPTIONAL_TOPICS, n=1)
-            hint = f" (nearest: {near[0]})" if near else ""
-            raise ParameterError(
-                f"--record: {name!r} is no output{hint}; need one of {', '.join(OPTIONAL_TOPICS)}, pyramid/level_<k>"
-            )
-    return tuple(name for name in names if name not in FRAME_TOPICS + TARGET_TOPICS)
-
-
 def _frame_message(topic: str, result: Result) -> Any | None:
-    level = _LEVEL.fullmatch(topic)
-    if level:
-        return level_message(make_message, result, int(level[1]))
+    level = pyramid_level(topic)
+    if level is not None:
+        return level_message(make_message, result, level)
     if topic == "debug_image":
         return picture_message(make_message, result, draw_result(result))
     return FRAME_OUTPUTS[topic].message(make_message, result) if topic in FRAME_OUTPUTS else None

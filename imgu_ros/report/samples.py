@@ -36,45 +36,64 @@ class Sample:
     jpeg: bytes
 
 
-class Samples:
-    """Collects samples while frames pass by: about six, evenly spread, and three in which nothing was found any more.
+class SampleChoice:
+    """Which frames are kept while they pass by: evenly spread ones, and three in which nothing was found any more.
 
     Every `stride`-th frame is kept; when twice as many as wanted are held, every other one is dropped and the stride
     doubles. So n frames cost O(log n) drawings, and eleven when their number was known.
 
     Parameters
     ----------
-    expected : number of frames that will be offered, as far as that is known; which ones are kept depends on nothing
-        but this and how many there are
+    expected : number of frames that will come, as far as that is known; which ones are kept depends on nothing but
+        this and how many there are
+
+    Attributes
+    ----------
+    even, misses : numbers of the frames that are kept, from 0
     """
 
     def __init__(self, expected: int = 0) -> None:
+        self.even: list[int] = []
+        self.misses: list[int] = []
         self._stride = max(1, (expected - 1) // (2 * _KEPT - 2))
-        self._even: list[Sample] = []
-        self._misses: list[Sample] = []
         self._is_missing = False
+        self._frames = 0
+
+    def is_due(self, result: Result) -> bool:
+        """Look at the next frame, and return whether it is to be kept."""
+        index, self._frames = self._frames, self._frames + 1
+        was_missing, self._is_missing = self._is_missing, not any(target.status.found for target in result.targets)
+        is_miss = self._is_missing and not was_missing and len(self.misses) < _MISSES
+        is_even = index % self._stride == 0
+        if is_miss:
+            self.misses.append(index)
+        if is_even:
+            self.even.append(index)
+        if len(self.even) == 2 * _KEPT:
+            self._stride *= 2
+            self.even = [kept for kept in self.even if kept % self._stride == 0]
+        return is_miss or is_even
+
+
+class Samples:
+    """Draws the frames that a `SampleChoice` of `expected` frames keeps, and of the even ones about six at the end."""
+
+    def __init__(self, expected: int = 0) -> None:
+        self._choice = SampleChoice(expected)
+        self._kept: dict[int, Sample] = {}
 
     def offer(self, index: int, result: Result) -> None:
-        """Look at frame number `index`, and draw it when it is to be kept."""
-        was_missing, self._is_missing = self._is_missing, not any(target.status.found for target in result.targets)
-        is_miss = self._is_missing and not was_missing and len(self._misses) < _MISSES
-        if index % self._stride and not is_miss:
-            return
-        sample = _sample(index, result)
-        if is_miss:
-            self._misses.append(sample)
-        if index % self._stride == 0:
-            self._even.append(sample)
-        if len(self._even) == 2 * _KEPT:
-            self._stride *= 2
-            self._even = [kept for kept in self._even if kept.index % self._stride == 0]
+        """Look at frame number `index`, the next one, and draw it when it is to be kept."""
+        if self._choice.is_due(result):
+            self._kept[index] = _sample(index, result)
+            wanted = {*self._choice.even, *self._choice.misses}
+            self._kept = {number: sample for number, sample in self._kept.items() if number in wanted}
 
     def chosen(self) -> tuple[Sample, ...]:
         """Return the kept samples in order of time."""
-        places = np.linspace(0, len(self._even) - 1, min(_KEPT, len(self._even)))
-        even = [self._even[round(place)] for place in places]
-        kept = {sample.index: sample for sample in (*even, *self._misses)}
-        return tuple(kept[index] for index in sorted(kept))
+        even = self._choice.even
+        places = np.linspace(0, len(even) - 1, min(_KEPT, len(even)))
+        return tuple(self._kept[index] for index in sorted({*(even[round(p)] for p in places), *self._choice.misses}))
 
 
 def _sample(index: int, result: Result) -> Sample:

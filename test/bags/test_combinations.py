@@ -156,7 +156,7 @@ def all_pairs(combinations: list[Combination]) -> set[frozenset[tuple[str, objec
 
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imgu_ros.bags.replay.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture(scope="module")

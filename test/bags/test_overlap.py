@@ -46,7 +46,7 @@ def parameters(bag: Path) -> Parameters:
 
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imgu_ros.bags.replay.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
 
 
 def untimed(path: Path) -> list[dict[str, str]]:

@@ -43,7 +43,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than replaying: only the module's own replay draws its report."""
-    monkeypatch.setattr("imgu_ros.bags.replay.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,87 @@
+"""What is remembered of the frames of a replay, and what its report needs beside frames.csv."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from imgu_ros.bags.reasons import Reasons
+from imgu_ros.params import Parameters
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.result import Result, Status
+from imgu_ros.report.summary import Source
+from imgu_ros.simulate.truth import Truth
+from imgu_ros.vision.camera.intrinsics import Camera
+
+
+@dataclass(slots=True, eq=False)
+class Passed:
+    """Counts of a replay's frames, and what its first one tells: nothing that grows with their number.
+
+    Attributes
+    ----------
+    frames, rejected : how many
+    first_reason : why the first of those that were rejected was
+    seconds : time that all took
+    reasons : why targets were not found, have no pose, or frames were rejected
+    image_size : width and height of the first frame that was read, px; 0 without one
+    layout : of that frame, such as `bayer rggb uint16`
+    camera : of that frame
+    """
+
+    frames: int = 0
+    rejected: int = 0
+    first_reason: str = ""
+    seconds: float = 0.0
+    reasons: Reasons = field(default_factory=Reasons)
+    image_size: tuple[int, int] = (0, 0)
+    layout: str = ""
+    camera: Camera | None = None
+
+    def add(self, result: Result) -> str:
+        """Count a frame; return why it was rejected, when it was and for a reason that is new."""
+        self.frames += 1
+        if result.reason:
+            self.rejected += 1
+            self.first_reason = self.first_reason or result.reason
+            return result.reason if self.reasons.add(Status.REJECTED.value, result.reason) else ""
+        if not self.layout:
+            self._describe(result.frame)
+        for target in result.targets:
+            if target.reason:
+                status = target.pose_status if target.status.found else target.status
+                self.reasons.add(status.value, target.reason)
+        return ""
+
+    def _describe(self, frame: Frame) -> None:
+        height, width = frame.image.pixels.shape[:2]
+        layout = frame.image.layout
+        pattern = f" {layout.pattern.value}" if layout.pattern else ""
+        self.image_size = (width, height)
+        self.layout = f"{layout.color.value}{pattern} {frame.image.pixels.dtype.name}"
+        self.camera = frame.camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replayed:
+    """A replay whose frames have passed.
+
+    Attributes
+    ----------
+    out : its folder, with a complete frames.csv
+    passed : what is remembered of the frames
+    source : what was replayed
+    truths : of the truth file; empty without one
+    sizes : width and height of each target, px
+    parameters : of the replay
+    warnings : all so far
+    """
+
+    out: Path
+    passed: Passed
+    source: Source
+    truths: Sequence[Truth]
+    sizes: Mapping[str, tuple[int, int]]
+    parameters: Parameters
+    warnings: tuple[str, ...]

@@ -1,0 +1,89 @@
+"""Where a replay's results go: written beside the chain, in a thread or in a process of their own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from imgu_ros.bags.passed import Replayed
+from imgu_ros.params import Parameters
+from imgu_ros.perception.result import Result
+from imgu_ros.report.summary import Summary
+
+#: A process takes about a second of a processor to start, and saves some milliseconds a frame.
+_WORTH_A_PROCESS = 500
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Written:
+    """One frame's result, and when the bag recorded the frame."""
+
+    result: Result
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Files:
+    """What is to be written.
+
+    Attributes
+    ----------
+    out : the folder, prepared
+    parameters : of the replay
+    targets : names
+    record : outputs to record beside those that always are
+    expected : number of frames, as far as it is known
+    """
+
+    out: Path
+    parameters: Parameters
+    targets: tuple[str, ...]
+    record: tuple[str, ...]
+    expected: int
+
+
+class ResultSink(Protocol):
+    """Writes results in order, behind the one who puts them.
+
+    A context manager: leaving it completes the files, after an error or an interrupt too. What goes wrong while writing
+    is raised by a later call, at the latest on leaving.
+    """
+
+    def open(self, files: Files) -> None:
+        """Begin; the first call."""
+
+    def put(self, written: Written) -> None:
+        """Take one frame's result."""
+
+    def report(self, replayed: Replayed) -> Summary:
+        """Complete the files of the frames, then write summary and report; the last call."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def result_sink(expected: int, record: Sequence[str]) -> ResultSink:
+    """Return what writes the results of about `expected` frames.
+
+    A process of its own, where that pays: threads hold up each other, as Python runs one of them at a time. With a
+    thread where pictures or keypoints are recorded, which would all have to be handed over; the files are the same.
+    """
+    if expected >= _WORTH_A_PROCESS and not record and sys.executable and len(os.sched_getaffinity(0)) > 1:
+        from imgu_ros.bags.result_process import ResultProcess
+
+        try:
+            return ResultProcess()
+        except OSError:  # no room for another process
+            pass
+    # Imported where it is used, for it takes some tenths of a second: what writes bags.
+    from imgu_ros.bags.result_thread import ResultThread
+
+    return ResultThread()

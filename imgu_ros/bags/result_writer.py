@@ -1,0 +1,73 @@
+"""The process that writes a replay's results: `python -m imgu_ros.bags.result_writer`, for `ResultProcess` alone.
+
+Reads pickled `Files`, then lists of `Written`, then perhaps `Replayed` from standard input, and at the end writes to
+standard output, pickled, the summary, None, or what went wrong. Whatever ends the input, the files are completed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import sys
+from contextlib import ExitStack
+from typing import BinaryIO
+
+from imgu_ros.bags.passed import Replayed
+from imgu_ros.bags.reporting import write_summary_and_report
+from imgu_ros.bags.result_files import ResultFiles
+from imgu_ros.bags.result_sink import Files, Written
+from imgu_ros.errors import ImguError
+from imgu_ros.report.summary import Summary
+
+
+def main() -> int:
+    """Write what comes; return the exit code."""
+    # What anybody prints must not come between.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    answer: object
+    try:
+        answer = serve(sys.stdin.buffer)
+    except Exception as error:
+        answer = error
+    with contextlib.suppress(BrokenPipeError), answers:  # whoever started this may have ended
+        answers.write(_pickled(answer))
+    return 0
+
+
+def serve(source: BinaryIO) -> Summary | None:
+    """Write the results that `source` holds; return the summary when a report was asked for."""
+    with ExitStack() as stack:
+        opened: ResultFiles | None = None
+        while True:
+            try:
+                item = pickle.load(source)
+            except (EOFError, pickle.UnpicklingError):  # the end, or the other process was killed
+                return None
+            if isinstance(item, Files):
+                files = ResultFiles(item.out, item.parameters, item.targets, item.record, item.expected)
+                opened = stack.enter_context(files)
+            elif isinstance(item, Replayed):
+                stack.close()
+                return write_summary_and_report(item, () if opened is None else opened.samples.chosen())
+            elif opened is not None:
+                _write(opened, item)
+
+
+def _write(files: ResultFiles, batch: list[Written]) -> None:
+    for written in batch:
+        files.write(written)
+
+
+def _pickled(answer: object) -> bytes:
+    try:
+        data = pickle.dumps(answer)
+        pickle.loads(data)
+    except Exception:
+        return pickle.dumps(ImguError(f"results: {type(answer).__name__}: {answer}"))
+    return data
+
+
+if __name__ == "__main__":
+    sys.exit(main())
