@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
 
+import cv2
 import numpy as np
 
 from imgu_ros.errors import EstimationError, NoConsensus
@@ -99,17 +100,16 @@ class Track:
         if self._expected is None or self._expected.stamp_ns != stamp_ns:
             ways = [self.last.H]
             steady = self._steady(stamp_ns)
-            try:
-                if steady > 1:
-                    # The motion of the image, H1 H0^-1, and what became of the one before it.
-                    H2, H1 = (sighting.H for sighting in self.sightings[:2])
-                    motion = H2 @ np.linalg.inv(H1)
-                    ways.append(motion @ H2)
-                if steady > 2:
-                    change = motion @ self.sightings[2].H @ np.linalg.inv(H1)
-                    ways.append(change @ ways[1])
-            except np.linalg.LinAlgError:
-                pass
+            if steady > 1:
+                # Of three rows, OpenCV is five times as fast as numpy.
+                regular, back = cv2.invert(self.sightings[1].H)
+                if regular:
+                    # The motion of the image, H2 H1^-1, and by what it differs from the one before, H1 H0^-1.
+                    motion = self.last.H @ back
+                    ways.append(motion @ self.last.H)
+                    if steady > 2:
+                        change = motion @ self.sightings[2].H @ back
+                        ways.append(change @ ways[1])
             self._expected = _Expected(stamp_ns, _facing(ways, target))
         return self._expected
 
@@ -137,8 +137,8 @@ def _facing(ways: Sequence[Matrix3], target: Target) -> tuple[Matrix3, ...]:
     """Return the first one, and of the others as many as show the target's front, at unit norm."""
     facing = [ways[0]]
     for H in ways[1:]:
-        size = float(np.linalg.norm(H))
-        if not (0 < size < math.inf and (H[2] @ target.outline_homogeneous > 0).all()):
+        size = math.sqrt(float(np.vdot(H, H)))
+        if not (0 < size < math.inf and (H[2] @ target.outline_homogeneous).min() > 0):
             break
         facing.append(H / size)
     return tuple(facing)

@@ -25,6 +25,8 @@ from imgu_ros.vision.projective.increments import PlaneMotion
 
 #: Grey levels (standard deviation) below which a patch has no contrast.
 FLAT = 0.5
+#: Of a patch's contrast, in grey levels times pixels, what must be seen again.
+_LEAST_EXPLAINED = 1e-3
 #: Coordinates beyond this are no places in a picture; `remap` takes 16-bit ones, and pictures of no more pixels.
 _FARTHEST = 30000.0
 LONGEST_PX = 32000
@@ -191,13 +193,13 @@ class Patches:
         # Its largest number may be as large or small as floats are.
         H = H / (float(np.abs(H).max()) or 1.0)
         at = H @ self._homogeneous[:, :first]
-        scale, nearest = float(at[2].mean()), float(at[2].min())
+        scale, nearest = float(at[2].sum()) / first, float(at[2].min())
         if not scale > _NEAREST or not nearest > 1e-6 * scale:
             raise DegenerateConfiguration("H: a patch would lie behind the camera; need all in front")
+        H, at, nearest = H / scale, at / scale, nearest / scale
         linear = np.empty((3, first, 3))
         linear[:, :, 0] = at
         linear[:, :, 1:] = H[:, None, :2]
-        linear /= scale
         reach = self._half * float(np.abs(H[2, :2]).sum())
         plain = nearest > 2 * reach
         x, y, w = linear
@@ -209,7 +211,7 @@ class Patches:
             linear[1] = by[:, 1, :1] * x + by[:, 1, 1:] * y + end[:, 1:] * w
             linear[0] = bent_x
         # Where w is at least half of what it is at the centre, places are at most twice as far away as these.
-        farthest = np.abs(linear[:2]).max() * (1 + 2 * self._half) * scale / nearest
+        farthest = np.abs(linear[:2]).max() * (1 + 2 * self._half) / nearest
         if sheet is not None:
             x += sheet.shift[:first, :1] * w
             y += sheet.shift[:first, 1:] * w
@@ -249,13 +251,18 @@ class Patches:
             samples = as_grey(samples, "samples")
         seen, contrast = self._seen[:first], self._contrast[:first]
         np.copyto(seen, samples)
-        gain, a_dx, a_dy, mean = (self._solvers[:first] @ seen[:, :, None])[:, :, 0].T
-        variance = np.einsum("np,np->n", seen, seen) - self._area * mean**2
-        usable = (variance > self._area * FLAT**2) & (contrast > 0) & (np.abs(gain) * contrast > 1e-3)
-        inverse = usable / np.where(usable, gain, 1.0)
-        xy = np.stack((a_dx * inverse, a_dy * inverse), axis=1).astype(np.float64)
-        similarity = usable * gain * contrast / np.sqrt(np.where(usable, variance, 1.0))
-        return Displacements(xy, np.clip(similarity, -1.0, 1.0).astype(np.float64))
+        told = (self._solvers[:first] @ seen[:, :, None])[:, :, 0]
+        gain, mean = told[:, 0], told[:, 3]
+        variance = np.einsum("np,np->n", seen, seen) - self._area * mean * mean
+        explained = gain * contrast
+        usable = (variance > self._area * FLAT**2) & (np.abs(explained) > _LEAST_EXPLAINED)
+        if not usable.all():
+            told[~usable], variance[~usable], explained[~usable] = (1, 0, 0, 0), 1, 0
+        xy = told[:, 1:3] / gain[:, None]
+        similarity = explained / np.sqrt(variance)
+        # np.clip takes five times as long.
+        np.minimum(np.maximum(similarity, -1.0, out=similarity), 1.0, out=similarity)
+        return Displacements(xy.astype(np.float64), similarity.astype(np.float64))
 
 
 def as_grey(image: Image, name: str) -> Image:

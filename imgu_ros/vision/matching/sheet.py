@@ -10,6 +10,7 @@ from imgu_ros.types import IMAGE_DTYPES, Image, as_points
 
 #: OpenCV's maps hold 16-bit places.
 TALLEST_PX = 32000
+_FARTHEST = 1e6
 
 
 class Sheet:
@@ -43,13 +44,12 @@ class Sheet:
 
     def __init__(self, origins: ArrayLike, side: int) -> None:
         corners = as_points(origins, "origins", 1)
-        self.origins = corners.astype(np.intp) if np.abs(corners).max() <= 1e6 else np.zeros((0, 2), np.intp)
-        if side < 4 or corners.min() < 0 or not np.array_equal(corners, self.origins):
-            raise ShapeError(
-                f"origins, side: {corners.min():g} to {corners.max():g}, {side}; need whole px >= 0, at least 4"
-            )
+        lowest, highest = float(corners.min()), float(corners.max())
+        if side < 4 or lowest < 0 or highest > _FARTHEST or (corners != np.rint(corners)).any():
+            raise ShapeError(f"origins, side: {lowest:g} to {highest:g}, {side}; need whole px >= 0, at least 4")
         if len(corners) * side > TALLEST_PX:
             raise ShapeError(f"origins, side: {len(corners)} squares of {side} px; need at most {TALLEST_PX} px in all")
+        self.origins = corners.astype(np.intp)
         self.side = side
         self._right, self._bottom = (self.origins.max(axis=0) + side).tolist()
         self.shift: NDArray[np.float32] = -corners.astype(np.float32)

@@ -255,16 +255,17 @@ def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> Mot
     with np.errstate(over="ignore", invalid="ignore"):
         normal = rows.T @ rows
     # What is not finite anywhere is not in the sums either: they are smaller.
-    if not np.isfinite(normal).all():
+    if not math.isfinite(np.vdot(normal, normal)):
         raise ShapeError("by_parameters: numbers that are not finite, or too large; need squares that are floats")
     if correlation is None:
         return MotionSums(normal, normal)
     correlation = as_floats(correlation, "correlation")
     if correlation.shape != (len(by_parameters),) * 2:
         raise ShapeError(f"correlation: shape {correlation.shape}; need {(len(by_parameters),) * 2}")
-    x, y = (np.ascontiguousarray(by_parameters[:, axis]) for axis in (0, 1))
     with np.errstate(over="ignore", invalid="ignore"):
-        middle = x.T @ (correlation @ x) + y.T @ (correlation @ y)
-    if not np.isfinite(middle).all():
+        # Both coordinates of a point beside each other: one product for the two of them.
+        correlated = correlation @ rows.reshape(len(by_parameters), -1)
+        middle = rows.T @ correlated.reshape(rows.shape)
+    if not math.isfinite(np.vdot(middle, middle)):
         raise ShapeError("correlation: numbers that are not finite, or too large; need -1 to 1")
     return MotionSums(normal, middle)

@@ -33,8 +33,9 @@ def tangent_basis(H: ArrayLike) -> Floats:
     h = _unit(as_matrix(H, (3, 3), "H"))
     v = h.copy()
     v[0] += 1.0 if h[0] >= 0 else -1.0
-    reflection = np.eye(9) - 2 * np.outer(v, v) / (v @ v)
-    return np.asarray(reflection[:, 1:], np.float64)
+    basis = v[:, None] * (v[1:] * (-2 / float(v @ v)))
+    basis.ravel()[8::9] += 1
+    return np.asarray(basis, np.float64)
 
 
 class _HomographyProblem:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -89,7 +90,7 @@ def area_factor(H: ArrayLike, point: Sequence[float]) -> float:
     g, h, i = H[2].tolist()
     w = g * x + h * y + i
     try:
-        factor = abs(_determinant(H) / w**3)
+        factor = abs(cv2.determinant(H) / w**3)
     except (ZeroDivisionError, OverflowError):
         factor = math.inf
     if not math.isfinite(factor):
@@ -120,7 +121,7 @@ def normalised_homography(H: ArrayLike) -> Matrix3:
         raise DegenerateConfiguration("H: all zero; need a homography")
     if not _PLAIN[0] < largest < _PLAIN[1]:
         H = H / largest
-    return H * ((1 if _determinant(H) >= 0 else -1) / math.sqrt(float(np.vdot(H, H))))
+    return H * ((1 if cv2.determinant(H) >= 0 else -1) / math.sqrt(float(np.vdot(H, H))))
 
 
 def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
@@ -145,11 +146,6 @@ def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:
     # Coordinates may be as large as floats are: an overflow keeps the sign.
     with np.errstate(over="ignore", invalid="ignore"):
         return bool((points @ third[:2] + third[2] > 0).all())
-
-
-def _determinant(H: Matrix3) -> float:
-    (a, b, c), (d, e, f), (g, h, i) = H.tolist()
-    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
 
 
 def _mapped(H: Matrix3, points: Points) -> tuple[Points, Floats]:
