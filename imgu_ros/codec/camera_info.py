@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -42,17 +43,11 @@ def decode_camera_info(message: Any, *, rectified: bool, image_size: tuple[int, 
     matrix = _numbers(message, "p", (3, 4))[:, :3] if rectified else _numbers(message, "k", (3, 3))
     if not matrix.any():
         return None
-    name = "P[:3, :3]" if rectified else "K"
     window = _window(message)
     binning = (max(1, int(message.binning_x)), max(1, int(message.binning_y)))
     _check_size(window, binning, image_size)
-    lens = _Lens(DistortionModel.PLUMB_BOB, np.zeros(0)) if rectified else _lens(message)
-    try:
-        # The sensor's matrix is checked before it is changed, so that the message shows what was sent.
-        make_camera(matrix, lens.coefficients, lens.model, *image_size)
-        return make_camera(_windowed(matrix, window, binning), lens.coefficients, lens.model, *image_size)
-    except ShapeError as error:
-        raise EncodingError(f"camera_info: {str(error).replace('K:', f'{name}:', 1)}") from None
+    lens = _Lens(DistortionModel.PLUMB_BOB, ()) if rectified else _lens(message)
+    return _camera(_Said(tuple(matrix.ravel().tolist()), rectified, lens, window, binning, image_size))
 
 
 def camera_info_message(make: MessageFactory, header: Header, camera: Camera) -> Any:
@@ -83,10 +78,35 @@ class _Window:
     height: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class _Lens:
     model: DistortionModel
-    coefficients: Floats
+    coefficients: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """All that a message tells of the camera; `matrix` row by row."""
+
+    matrix: tuple[float, ...]
+    rectified: bool
+    lens: _Lens
+    window: _Window
+    binning: tuple[int, int]
+    image_size: tuple[int, int]
+
+
+@lru_cache(maxsize=32)  # hardly a camera says anything new with its next frame
+def _camera(said: _Said) -> Camera:
+    matrix, lens = np.reshape(said.matrix, (3, 3)), said.lens
+    coefficients = np.array(lens.coefficients, np.float64)
+    try:
+        # The sensor's matrix is checked before it is changed, so that the message shows what was sent.
+        make_camera(matrix, coefficients, lens.model, *said.image_size)
+        return make_camera(_windowed(matrix, said.window, said.binning), coefficients, lens.model, *said.image_size)
+    except ShapeError as error:
+        name = "P[:3, :3]" if said.rectified else "K"
+        raise EncodingError(f"camera_info: {str(error).replace('K:', f'{name}:', 1)}") from None
 
 
 def _numbers(message: Any, name: str, shape: tuple[int, ...] | None = None) -> Floats:
@@ -142,9 +162,11 @@ def _windowed(matrix: Matrix3, window: _Window, binning: tuple[int, int]) -> Mat
 def _lens(message: Any) -> _Lens:
     name = str(message.distortion_model)
     # Zeros at the end of D change nothing in any model: drivers pad D to a fixed length.
-    given = np.trim_zeros(_numbers(message, "d"), "b")
+    given = _numbers(message, "d").tolist()
+    while given and given[-1] == 0:
+        given.pop()
     if name in ("", "none") and not len(given):
-        return _Lens(DistortionModel.PLUMB_BOB, given)
+        return _Lens(DistortionModel.PLUMB_BOB, ())
     if name not in list(DistortionModel):
         nearest = difflib.get_close_matches(name[:40], list(DistortionModel), n=1, cutoff=0.0)[0]
         raise EncodingError(f"camera_info: distortion_model {name[:40]!r} is unknown; nearest known: '{nearest}'")
@@ -152,4 +174,4 @@ def _lens(message: Any) -> _Lens:
     # Some drivers send all eight coefficients under the older name; the first five mean the same in both models.
     if model is DistortionModel.PLUMB_BOB and len(given) > COEFFICIENTS[model]:
         model = DistortionModel.RATIONAL_POLYNOMIAL
-    return _Lens(model, given)
+    return _Lens(model, tuple(given))
