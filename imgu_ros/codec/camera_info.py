@@ -103,10 +103,13 @@ def _camera(said: _Said) -> Camera:
     try:
         # The sensor's matrix is checked before it is changed, so that the message shows what was sent.
         make_camera(matrix, coefficients, lens.model, *said.image_size)
-        return make_camera(_windowed(matrix, said.window, said.binning), coefficients, lens.model, *said.image_size)
+        camera = make_camera(_windowed(matrix, said.window, said.binning), coefficients, lens.model, *said.image_size)
     except ShapeError as error:
         name = "P[:3, :3]" if said.rectified else "K"
         raise EncodingError(f"camera_info: {str(error).replace('K:', f'{name}:', 1)}") from None
+    # Many frames have this very object.
+    camera.K.flags.writeable = camera.distortion.flags.writeable = False
+    return camera
 
 
 def _numbers(message: Any, name: str, shape: tuple[int, ...] | None = None) -> Floats:

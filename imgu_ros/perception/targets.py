@@ -47,21 +47,33 @@ class TargetImage:
 
 
 class AlignmentLevel:
-    """A target at one scale, for alignment by patches.
+    """A target at one scale, for alignment by patches; of a known target few octaves are ever seen.
+
+    Parameters
+    ----------
+    level : the picture, uint8, and its scale
+    count : patches that are used at once
 
     Attributes
     ----------
-    level : the picture, uint8, and its scale
-    corners : (N, 2) px of the full-resolution target, the points worth following, best spread first
+    level : as given
     """
 
-    def __init__(self, level: Level, corners: Points) -> None:
+    def __init__(self, level: Level, count: int) -> None:
         self.level = level
-        self.corners = corners
+        self._count = count
+        self._corners: Points | None = None
         self._patches: dict[int, PatchBank] = {}
 
+    @property
+    def corners(self) -> Points:
+        """The points worth following, best spread first: (N, 2) px of the full-resolution target; made once."""
+        if self._corners is None:
+            self._corners = _corners(self.level, self._count)
+        return self._corners
+
     def patches(self, window_px: int) -> PatchBank:
-        """Return the patches about the corners, in the level's px; of a known target few octaves are ever seen."""
+        """Return the patches about the corners, in the level's px; made once."""
         if window_px not in self._patches:
             self._patches[window_px] = PatchBank(self.level.image, self.level.from_full(self.corners), window_px)
         return self._patches[window_px]
@@ -108,6 +120,11 @@ class Target:
         """Template px to the target's plane, metres, origin at the centre, y up: (3, 3) affine."""
         return _metres_from_template(*self.size, self.width_m)
 
+    def prepare(self) -> None:
+        """Make what the first frame that shows another octave of the target would have to wait for."""
+        for octave in self.alignment:
+            _ = octave.corners
+
     def to_metres(self, template_xy: Points) -> Points:
         """Map template px (N, 2) to the target's plane, metres, origin at the centre, y up."""
         M = self.metres_from_template
@@ -151,7 +168,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         features,
         FeaturesOnDemand(partial(close_features, grey, parameters)),
         FeaturesOnDemand(partial(thorough_features, grey, parameters)),
-        tuple(_alignment(level, count) for level in octaves.levels),
+        tuple(AlignmentLevel(level, count) for level in octaves.levels),
     )
 
 
@@ -178,7 +195,7 @@ def _metres_from_template(width: int, height: int, width_m: float) -> Matrix3:
     return matrix
 
 
-def _alignment(level: Level, count: int) -> AlignmentLevel:
+def _corners(level: Level, count: int) -> Points:
     corners = cv2.goodFeaturesToTrack(level.image, 6 * count, _CORNER_QUALITY, _CORNER_DISTANCE_PX)
     xy = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
     # goodFeaturesToTrack sorts by strength but does not return it: the rank serves as well.
@@ -190,4 +207,4 @@ def _alignment(level: Level, count: int) -> AlignmentLevel:
         counts.insert(0, counts[0] // 2)
     order = np.concatenate([spread(xy, rank, size, n) for n in counts])
     _, first = np.unique(order, return_index=True)
-    return AlignmentLevel(level, level.to_full(xy[order[np.sort(first)]]))
+    return level.to_full(xy[order[np.sort(first)]])

@@ -23,8 +23,8 @@ from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.projective.condensed import CondensedHomography
 
-#: Of a parameter's standard deviation at 1 px noise: a step this small is followed by one of its square.
-_TOLERANCE = 1e-2
+#: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
+_TOLERANCE = 5e-3
 
 
 def _by_step() -> tuple[Floats, Floats]:
@@ -107,6 +107,10 @@ class _PoseOfHomography:
         self._by_pose = np.empty((9, 9))
         self._by_pose[:8] = self._whitening @ (homography.basis.T @ by_pose)
         self._by_pose[8] = homography.scaled.ravel() @ by_pose
+        # The same for [r1 r2 r3 t], of which r3 plays no part.
+        self._by_rigid = np.zeros((9, 3, 4))
+        self._by_rigid[:, :, [0, 1, 3]] = self._by_pose.reshape(9, 3, 3)
+        self._by_rigid = self._by_rigid.reshape(9, 12)
         self._unit = float(homography.T_dst[0, 0])
 
     def linearise(self, estimate: Floats) -> Linearisation:
@@ -118,10 +122,10 @@ class _PoseOfHomography:
 
     def step(self, estimate: Floats, delta: Floats) -> Floats:
         """Return the transform moved by (x y z rx ry rz)."""
-        moved = np.eye(4)
+        moved = estimate.copy()
         turn = delta[3:] / max(1.0, float(np.abs(delta[3:]).max()) / 1e3)
         moved[:3, :3] = exp_so3(turn) @ estimate[:3, :3]
-        moved[:3, 3] = estimate[:3, 3] + delta[:3]
+        moved[:3, 3] += delta[:3]
         return moved
 
     def start_px(self, start: RigidTransform) -> float:
@@ -158,7 +162,7 @@ class _PoseOfHomography:
 
     def _residuals(self, estimate: Floats) -> tuple[Floats, float]:
         """Return the whitened residuals, and by how much the pose's homography is longer than the fitted one."""
-        along = self._by_pose @ estimate[:3, [0, 1, 3]].ravel()
+        along = self._by_rigid @ estimate[:3].ravel()
         scale = float(along[8])
         if not scale > 0:
             raise DegenerateConfiguration("pose: the plane is behind the camera; need it in front")

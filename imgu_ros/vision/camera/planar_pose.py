@@ -27,7 +27,7 @@ from imgu_ros.vision.projective.estimate import require_spread
 
 #: A second solution is refuted when it starts with this many times the first one's error.
 _REFUTED = 5.0
-#: Of a parameter's standard deviation at 1 px noise: a step this small is followed by one of its square.
+#: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
 _TOLERANCE = 1e-3
 
 

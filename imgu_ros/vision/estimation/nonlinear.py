@@ -67,7 +67,7 @@ class Minimum:
     linearisation : the problem there
     weights : (N,) weight of each measurement there, 0 to 1
     iterations : steps tried
-    converged : whether the last step was below the tolerance
+    converged : whether a further step would be below the tolerance
     """
 
     estimate: Floats
@@ -142,8 +142,12 @@ def minimise(
         normal, gradient = _normal_equations(current, None if loss is None else weights)
         accepted = False
         while iterations < max_iterations and not accepted:
-            iterations += 1
             delta = _STEPS[method](normal, gradient, caution)
+            length = float(delta @ normal @ delta)
+            if length <= tolerance**2:
+                converged = True
+                break
+            iterations += 1
             moved = problem.step(estimate, delta)
             try:
                 # Most steps are accepted: their derivative will be needed, and comes at little more than the residuals.
@@ -154,13 +158,11 @@ def minimise(
                     raise
                 new_weights, new_cost = weights, math.inf  # out of the problem's domain: a step too long
             accepted = new_cost <= cost or not guarded
-            length = float(delta @ normal @ delta)
-            small = length <= tolerance**2
             if accepted:
-                converged = small or abs(cost - new_cost) <= enough * cost
+                converged = abs(cost - new_cost) <= enough * cost
                 estimate, current, weights, cost = moved, trial, new_weights, new_cost
                 caution = max(caution / 10, 1e-12) if guarded else 0.0
-            elif small or caution > 1e12 or (caution <= 1 and length <= _ROUNDING * cost):
+            elif caution > 1e12 or (caution <= 1 and length <= _ROUNDING * cost):
                 converged = True
                 break
             else:
