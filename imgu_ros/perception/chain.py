@@ -53,8 +53,10 @@ class Chain:
         return self._targets
 
     def prepare(self) -> None:
-        """Make what the first thorough search would have to wait for, some tenths of a second for each target."""
+        """Make what some frame would have to wait for, some tenths of a second for each target."""
         self._seeker.prepare()
+        for target in self._targets:
+            target.prepare()
 
     def reset(self) -> None:
         """Forget all that earlier frames told."""
