@@ -33,7 +33,7 @@ _COARSE_PATCHES = 80
 _COARSE_STEPS = 8
 _COARSE_ENOUGH_PX = 0.2
 _FINE_STEPS = 6
-_FINE_ENOUGH_PX = 0.1
+_FINE_ENOUGH_PX = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
