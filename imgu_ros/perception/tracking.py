@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, zip_longest
+from itertools import zip_longest
 
 import cv2
 import numpy as np
+from scipy.linalg import fractional_matrix_power
 
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.params import Parameters
@@ -24,8 +25,10 @@ from imgu_ros.vision.camera.intrinsics import Camera
 #: Of the patches sought, the share that must agree for a track to hold.
 _HELD_SHARE = 0.25
 _HELD_RMS_PX = 0.5
-#: Between these quotients of two intervals the motion goes on as it was; else the target is looked for where it was.
-_STEADY = (0.5, 2.0)
+#: Between these quotients of two intervals the motion goes on, by as much more or less; else the target is looked for
+#: where it was. Intervals that differ by less than this share are the same.
+_STEADY = (0.2, 5.0)
+_SAME = 0.1
 _MOST_SIGHTINGS = 3
 #: What is left of a surprise in the next frame.
 _MEMORY = 0.5
@@ -99,30 +102,42 @@ class Track:
         """Return what the sightings lead to expect."""
         if self._expected is None or self._expected.stamp_ns != stamp_ns:
             ways = [self.last.H]
-            steady = self._steady(stamp_ns)
-            if steady > 1:
+            later, now = self._quotient(0, stamp_ns), self._quotient(1, self.last.stamp_ns)
+            if _STEADY[0] <= later <= _STEADY[1]:
                 # Of three rows, OpenCV is five times as fast as numpy.
                 regular, back = cv2.invert(self.sightings[1].H)
                 if regular:
                     # The motion of the image, H2 H1^-1, and by what it differs from the one before, H1 H0^-1.
                     motion = self.last.H @ back
-                    ways.append(motion @ self.last.H)
-                    if steady > 2:
+                    ways.append(_power(motion, later) @ self.last.H)
+                    if _is_one(later) and _is_one(now):
                         change = motion @ self.sightings[2].H @ back
                         ways.append(change @ ways[1])
             self._expected = _Expected(stamp_ns, _facing(ways, target))
         return self._expected
 
-    def _steady(self, stamp_ns: int) -> int:
-        """Return how many sightings are as far apart in time as the last one is from now."""
-        now = stamp_ns - self.last.stamp_ns
-        count = 1
-        for later, earlier in pairwise(self.sightings):
-            interval = later.stamp_ns - earlier.stamp_ns
-            if not (interval > 0 and _STEADY[0] <= now / interval <= _STEADY[1]):
-                break
-            count += 1
-        return count
+    def _quotient(self, index: int, stamp_ns: int) -> float:
+        """Return the time from a sighting to `stamp_ns` over that from the sighting before it; 0 where none was."""
+        if index + 1 >= len(self.sightings):
+            return 0.0
+        later, earlier = self.sightings[index].stamp_ns, self.sightings[index + 1].stamp_ns
+        return (stamp_ns - later) / (later - earlier) if later > earlier else 0.0
+
+
+def _is_one(quotient: float) -> bool:
+    return abs(quotient - 1) <= _SAME
+
+
+def _power(motion: Matrix3, exponent: float) -> Matrix3:
+    """Return the homography that does so much of a motion: that of `exponent` times as long."""
+    if _is_one(exponent):
+        return motion
+    det = cv2.determinant(motion)
+    if not (0 < det < math.inf):
+        return motion
+    powered = fractional_matrix_power(motion / det ** (1 / 3), exponent)
+    # A turn by half a circle and more has no part that is real.
+    return np.asarray(powered.real, np.float64) if np.isfinite(powered).all() else motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,5 +241,7 @@ def _starts(track: Track, target: Target, stamp_ns: int, width: int) -> list[_St
         reach = min(max(_SURPRISE * track.surprise_px, _LEAST_REACH_PX), reach)
     starts = [_Start(predicted, reach), _Start(predicted, _UNKNOWN_REACH_PX, shift)]
     if predicted is not track.last.H:
+        # A motion that ends or turns back leaves the target near where it was.
+        starts.insert(1, _Start(track.last.H, _UNKNOWN_REACH_PX))
         starts.append(_Start(track.last.H, _UNKNOWN_REACH_PX, shift))
     return starts
