@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def accuracy_table(summary: Summary) -> str:
     """Return what came out of a replay as lines of text."""
-    from imgu_ros.report.html import figures
+    from imgu_ros.report.digits import figures
 
     lines: list[str] = []
     for target in summary.targets:
@@ -71,7 +71,7 @@ def accuracy_table(summary: Summary) -> str:
 
 
 def _target_lines(target: TargetSummary) -> list[str]:
-    from imgu_ros.report.html import figures
+    from imgu_ros.report.digits import figures
 
     lines = [f"{target.name}", f"  {'found / frames':<32}{target.found} / {target.frames}"]
 

@@ -7,15 +7,16 @@ import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 
 from imgu_ros.files.text_files import write_text
 from imgu_ros.params import declarations
 from imgu_ros.report import plots
+from imgu_ros.report.digits import figures
 from imgu_ros.report.samples import Sample
-from imgu_ros.report.summary import Percentiles, Summary
+from imgu_ros.report.summary import Summary
 from imgu_ros.report.table import FrameTable
 
 if TYPE_CHECKING:
@@ -65,18 +66,6 @@ def write_report(path: Path, table: FrameTable, summary: Summary, samples: Seque
     write_text(path, page)
 
 
-def figures(value: float | Percentiles | None, digits: int = 3) -> str:
-    """Return a number with that many significant digits, without an exponent where it reads well; a dash for None."""
-    if value is None:
-        return "–"
-    if isinstance(value, Percentiles):
-        return f"{figures(value.p50, digits)} / {figures(value.p95, digits)}"
-    if value and not 1e-4 <= abs(value) < 1e7:
-        return f"{value:.{digits - 1}e}"
-    rounded = float(f"{value:.{digits}g}")
-    return f"{rounded:.0f}" if abs(rounded) >= 10 ** (digits - 1) else f"{value:#.{digits}g}".rstrip(".")
-
-
 def _figures(table: FrameTable) -> Iterator[Picture]:
     if not len(table):
         return
@@ -104,7 +93,9 @@ def _figures(table: FrameTable) -> Iterator[Picture]:
 
 def _plot(figure: Figure, title: str, caption: str) -> Picture:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    # Little is gained by compressing lines on white for longer.
+    compression: Any = {"compress_level": 3}
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
     return Picture(_uri("image/png", buffer.getvalue()), title, caption)
 
 

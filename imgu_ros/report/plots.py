@@ -141,8 +141,9 @@ def plot_times(table: FrameTable) -> Figure | None:
     ran = [i for i in range(len(Stage)) if not np.isnan(stages[:, i]).all()]
     x, x_name = _time_axis(table)
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH, 2.9), layout="constrained")
+        figure = Figure(figsize=(_WIDTH, 2.9))
         bars, line = figure.subplots(1, 2, width_ratios=[1, 1.25])
+        _set_margins(figure, left=1.2)
         medians = [float(np.nanmedian(stages[:, i])) for i in ran]
         p95 = [float(np.nanpercentile(stages[:, i], 95)) for i in ran]
         bars.barh(range(len(ran)), medians, color=_COLORS[0], height=0.62, label="median")
@@ -162,8 +163,9 @@ def _over_time(table: FrameTable, panels: list[tuple[str, Floats, Floats | None]
     x, x_name = _time_axis(table)
     several = len(table.targets) > 1
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH, 1.6 * len(panels) + 0.5), layout="constrained")
+        figure = Figure(figsize=(_WIDTH, 1.6 * len(panels) + 0.5))
         axes: list[Axes] = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
+        _set_margins(figure, left=0.8)
         for axis, (name, values, predicted) in zip(axes, panels, strict=True):
             for index, target in enumerate(table.targets):
                 rows, color = table.of_target(index), _COLORS[index % len(_COLORS)]
@@ -177,6 +179,14 @@ def _over_time(table: FrameTable, panels: list[tuple[str, Floats, Floats | None]
             _legend(axis)
         axes[-1].set_xlabel(x_name)
     return figure
+
+
+def _set_margins(figure: Figure, left: float) -> None:
+    """Leave room for titles and the names of axes, `left` in inches: finding it takes as long as drawing."""
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=left / width, right=1 - 0.15 / width, bottom=0.55 / height, top=1 - 0.3 / height, wspace=0.15, hspace=0.25
+    )
 
 
 def _ways(estimate: Floats, truth: Floats | None) -> list[tuple[Floats, dict[str, Any]]]:

@@ -15,7 +15,8 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.result import PoseStatus, Result, Status
 from imgu_ros.report import samples as samples_module
 from imgu_ros.report.accuracy import TruthComparison
-from imgu_ros.report.html import figures, write_report
+from imgu_ros.report.digits import figures
+from imgu_ros.report.html import write_report
 from imgu_ros.report.plots import plot_errors, plot_precision, plot_status, plot_times, plot_trajectory
 from imgu_ros.report.samples import Samples
 from imgu_ros.report.summary import (
