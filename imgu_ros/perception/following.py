@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imgu_ros.errors import NoConsensus
+from imgu_ros.perception.patch_view import Bank, Reduction, fitting_bank, in_view, mapped, sheet_of
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.targets import Target
-from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points
-from imgu_ros.vision.camera.distortion import bend
+from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.matching.alignment import LocalBend, Patches
-from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.alignment import Patches
 from imgu_ros.vision.matching.response import Response
-from imgu_ros.vision.matching.sheet import TALLEST_PX, Sheet
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.increments import Motion
-from imgu_ros.vision.projective.transform import area_factor
 
 #: A patch that looks less alike, or lies farther away than a share of its side, is not the one that is sought.
 _MIN_SIMILARITY = 0.5
@@ -31,14 +26,6 @@ _SCOUTS = 60
 _SCOUTED_PX = 0.3
 #: A last round that moves a patch farther has not arrived anywhere, px of the picture.
 _SETTLED_PX = 0.5
-#: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
-_SHEET_ROOM_PX = 4
-#: A sheet larger than this share of the frame saves nothing.
-_SHEET_SHARE = 0.4
-#: A square's side, px, that is too large for any sheet.
-_NO_SIDE = 1_000_000
-#: By how much a lens may enlarge patches.
-_MOST_STRETCHED = 1.3
 #: Fewer patches are told an affine motion: two numbers less to be wrong.
 _ENOUGH_FOR_PROJECTIVE = 40
 
@@ -99,7 +86,7 @@ class Followed:
 
     def ideal_xy(self, chosen: Mask) -> Points:
         """Return where some of the patches are seen, ideal px."""
-        return _mapped(self.H_before, self.patches.centres[chosen] - self.displacements[chosen])
+        return mapped(self.H_before, self.patches.centres[chosen] - self.displacements[chosen])
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,20 +126,20 @@ def follow_patches(
     NoConsensus
         If too few patches are in view, are found or agree.
     """
-    reduced = _Reduction(0.5**halvings)
-    bank = _fitting_bank(target, H, reduced.scale, effort.window_px)
+    reduced = Reduction(0.5**halvings)
+    bank = fitting_bank(target, H, reduced.scale, effort.window_px)
     picture_from_bank = reduced.matrix @ H @ bank.template_from_bank
     shape = (pictures.shape[0] >> halvings, pictures.shape[1] >> halvings)
-    seen_at = _in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort)
+    seen_at = in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort.window_px, effort.most)
     chosen = seen_at.chosen
+    if len(chosen) < effort.fewest:
+        raise NoConsensus(f"patches: {len(chosen)} in view; need {effort.fewest}")
     patches = bank.patches.select(chosen)
     centres = patches.centres
     motions = patches.motions(affine=len(chosen) < _ENOUGH_FOR_PROJECTIVE)
     sheet = None
     if halvings == 0:
-        stretched = 1.0 if camera is None else _MOST_STRETCHED
-        side = _square_side(picture_from_bank, patches.bounds, effort.window_px * stretched)
-        sheet = _sheet(seen_at.xy, side, shape)
+        sheet = sheet_of(patches, seen_at.xy, picture_from_bank, shape, effort.window_px, bent=camera is not None)
     picture = pictures.halved(halvings) if sheet is None else pictures.cut(sheet)
     farthest = _FARTHEST_SHARE * effort.window_px
     motion: Motion | None = None
@@ -202,132 +189,3 @@ def follow_patches(
         settled,
         response.weakest,
     )
-
-
-class Bank:
-    """A target's patches at one of its octaves, and the way to and from them; `step`: template px in one of its."""
-
-    def __init__(self, patches: PatchBank, step: Floats) -> None:
-        self.patches = patches
-        sx, sy = step
-        self.template_from_bank = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
-        self.bank_from_template = np.array([[1 / sx, 0, 0.5 / sx - 0.5], [0, 1 / sy, 0.5 / sy - 0.5], [0, 0, 1]])
-        self._step = step
-
-    def template_xy(self, xy: Points) -> Points:
-        """Map the bank's px to the template's."""
-        return np.asarray((xy + 0.5) * self._step - 0.5)
-
-
-class _Reduction:
-    """Full-resolution px to px of a picture reduced by `scale`, 1 or less; pixel areas are aligned."""
-
-    def __init__(self, scale: float) -> None:
-        self.scale = scale
-        shift = (scale - 1) / 2
-        self.matrix = np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
-        self.inverse = np.array([[1 / scale, 0, -shift / scale], [0, 1 / scale, -shift / scale], [0, 0, 1]])
-
-    def to_full(self, xy: Points) -> Points:
-        return np.asarray((xy + 0.5) / self.scale - 0.5)
-
-    def to_picture(self, xy: Points) -> Points:
-        return np.asarray((xy + 0.5) * self.scale - 0.5)
-
-    def bend(self, camera: Camera, picture_from_bank: Matrix3, centres: Points) -> LocalBend:
-        straight = _mapped(picture_from_bank, centres)
-        return LocalBend(straight, *self._bent(camera, straight))
-
-    def bent(self, camera: Camera, straight: Points) -> Points:
-        return self._bent(camera, straight)[0]
-
-    def _bent(self, camera: Camera, straight: Points) -> tuple[Points, Floats]:
-        K = camera.K
-        square = K[:2, :2]
-        inverse = np.linalg.inv(square)
-        normalised = (self.to_full(straight) - K[:2, 2]) @ inverse.T
-        xy, by_xy = bend(camera.model, camera.distortion, normalised)
-        return self.to_picture(xy @ square.T + K[:2, 2]), square @ by_xy @ inverse
-
-
-def _fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> Bank:
-    """Return the patches of the octave whose pixels come out nearest in size to the picture's."""
-    width, height = target.size
-    pixels = math.sqrt(area_factor(H, ((width - 1) / 2, (height - 1) / 2))) * scale
-    octaves = [a for a in target.alignment if len(a.corners)]
-    if not octaves:
-        raise NoConsensus("patches: the target has none; need texture")
-    best = min(octaves, key=lambda octave: abs(math.log(octave.level.scale * max(pixels, 1e-9))))
-    return Bank(best.patches(window_px), best.level.step)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _InView:
-    """Which patches lie in the picture, (N,), and where, (N, 2) px."""
-
-    chosen: Indices
-    xy: Points
-
-
-def _in_view(
-    patches: PatchBank,
-    picture_from_bank: Matrix3,
-    shape: tuple[int, int],
-    reduced: _Reduction,
-    camera: Camera | None,
-    effort: Effort,
-) -> _InView:
-    """Return the best spread of the patches that should lie in the picture."""
-    height, width = shape
-    x, y, w = picture_from_bank @ patches.homogeneous
-    inside = w > 0
-    w = np.where(inside, w, 1.0)
-    x /= w
-    y /= w
-    if camera is not None:
-        # Far outside, the lens model may be anything: near it is what counts.
-        inside &= (np.abs(x) < 2 * max(shape)) & (np.abs(y) < 2 * max(shape))
-        near = np.flatnonzero(inside)
-        if len(near):
-            x[near], y[near] = reduced.bent(camera, np.column_stack((x[near], y[near]))).T
-    margin = effort.window_px // 2 + 2
-    inside &= (x >= margin) & (x < width - margin) & (y >= margin) & (y < height - margin)
-    # The centres come best spread first: so do those in view.
-    chosen = np.flatnonzero(inside)[: effort.most]
-    if len(chosen) < effort.fewest:
-        raise NoConsensus(f"patches: {len(chosen)} in view; need {effort.fewest}")
-    return _InView(chosen, np.column_stack((x[chosen], y[chosen])))
-
-
-def _square_side(picture_from_bank: Matrix3, bounds: Sequence[float], window_px: float) -> int:
-    """Return the side, px of the picture, of a square about a patch that holds it, wherever within `bounds` it is.
-
-    A homography enlarges most at a corner of what holds all centres: left, top, right, bottom.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = picture_from_bank.tolist()
-    left, top, right, bottom = bounds
-    by_centre = 0.0
-    for x, y in ((left, top), (right, top), (right, bottom), (left, bottom)):
-        w = g * x + h * y + i
-        if not w > 0:
-            return _NO_SIDE
-        u, v = (a * x + b * y + c) / w, (d * x + e * y + f) / w
-        by_centre = max(by_centre, (abs(a - u * g) + abs(b - u * h)) / w, (abs(d - v * g) + abs(e - v * h)) / w)
-    return 2 * math.ceil(min(by_centre * (window_px // 2) + _SHEET_ROOM_PX, _NO_SIDE))
-
-
-def _sheet(xy: Points, side: int, shape: tuple[int, int]) -> Sheet | None:
-    """Return the squares of the picture that hold the patches at `xy`; None when that saves little."""
-    height, width = shape
-    too_large = len(xy) * side**2 > _SHEET_SHARE * height * width or len(xy) * side > TALLEST_PX
-    if too_large or side > min(shape) - 2:
-        return None
-    # Even pixels: there a quad of the mosaic begins.
-    origins = (np.rint(xy).astype(np.intp) - side // 2) & -2
-    np.minimum(origins, ((width - side) & -2, (height - side) & -2), out=origins)
-    return Sheet(np.maximum(origins, 0, out=origins), side)
-
-
-def _mapped(H: Matrix3, points: Points) -> Points:
-    at = points @ H[:, :2].T + H[:, 2]
-    return np.asarray(at[:, :2] / at[:, 2:])

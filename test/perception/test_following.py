@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.params import DemosaicParameters, RawParameters
-from imgu_ros.perception import following
+from imgu_ros.perception import patch_view
 from imgu_ros.perception.develop import develop
 from imgu_ros.perception.following import Effort, follow_patches
 from imgu_ros.perception.pictures import Pictures
@@ -83,7 +83,7 @@ def test_squares_of_the_mosaic_show_what_the_picture_shows(
     monkeypatch.setattr(Pictures, "halved", lambda self, times: developed.append(True) or whole(self, times))
     of_squares = follow_patches(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert not developed
-    monkeypatch.setattr(following, "_SHEET_SHARE", 0.0)
+    monkeypatch.setattr(patch_view, "_SHEET_SHARE", 0.0)
     of_picture = follow_patches(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert developed
     assert corner_error(of_squares.H, of_picture.H, target.size, (1280, 720), lens) < 0.005

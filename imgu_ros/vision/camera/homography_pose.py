@@ -108,9 +108,9 @@ class _PoseOfHomography:
         self._by_pose[:8] = self._whitening @ (homography.basis.T @ by_pose)
         self._by_pose[8] = homography.scaled.ravel() @ by_pose
         # The same for [r1 r2 r3 t], of which r3 plays no part.
-        self._by_rigid = np.zeros((9, 3, 4))
-        self._by_rigid[:, :, [0, 1, 3]] = self._by_pose.reshape(9, 3, 3)
-        self._by_rigid = self._by_rigid.reshape(9, 12)
+        by_rigid = np.zeros((9, 3, 4))
+        by_rigid[:, :, [0, 1, 3]] = self._by_pose.reshape(9, 3, 3)
+        self._by_rigid = by_rigid.reshape(9, 12)
         self._unit = float(homography.T_dst[0, 0])
 
     def linearise(self, estimate: Floats) -> Linearisation:

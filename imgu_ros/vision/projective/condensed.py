@@ -184,7 +184,9 @@ def _unit_similarity(H: Matrix3, motions: PlaneMotion) -> Matrix3:
     """Return the similarity of the picture that makes a unit of the points a unit, at their centre, and centres it."""
     x, y, w = H @ motions.back[:, 2]
     if not abs(w) > 0:
-        raise DegenerateConfiguration("H_dst_points: it maps the points to infinity; need points off the vanishing line")
+        raise DegenerateConfiguration(
+            "H_dst_points: it maps the points to infinity; need points off the vanishing line"
+        )
     # The determinant of the local Jacobian.
     enlarged = abs(cv2.determinant(H) / w**3)
     factor = 1 / (motions.unit_px * math.sqrt(min(max(enlarged, _SMALLEST_AREA), 1 / _SMALLEST_AREA)))

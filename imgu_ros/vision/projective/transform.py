@@ -86,11 +86,12 @@ def area_factor(H: ArrayLike, point: Sequence[float]) -> float:
     >>> area_factor([[2, 0, 0], [0, 3, 0], [0, 0, 1]], (5, 5))
     6.0
     """
-    H, (x, y) = as_matrix(H, (3, 3), "H"), as_matrix(point, (2,), "point").tolist()
+    H = as_matrix(H, (3, 3), "H")
+    x, y = as_matrix(point, (2,), "point").tolist()
     g, h, i = H[2].tolist()
-    w = g * x + h * y + i
+    w = float(g * x + h * y + i)
     try:
-        factor = abs(cv2.determinant(H) / w**3)
+        factor = abs(float(cv2.determinant(H)) / w**3)
     except (ZeroDivisionError, OverflowError):
         factor = math.inf
     if not math.isfinite(factor):

@@ -21,7 +21,13 @@ from imgu_ros.vision.projective.points_and_lines import (
     transform_lines,
     transform_points,
 )
-from imgu_ros.vision.projective.transform import faces_camera, local_jacobian, normalised_homography, transform
+from imgu_ros.vision.projective.transform import (
+    area_factor,
+    faces_camera,
+    local_jacobian,
+    normalised_homography,
+    transform,
+)
 from imgu_ros.vision.projective.transformations import (
     affine,
     cofactors,
@@ -55,6 +61,7 @@ def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
     transform: lambda rng: {"H": H.copy(), "points": _points(rng)},
+    area_factor: lambda rng: {"H": H.copy(), "point": _points(rng)[0]},
     local_jacobian: lambda rng: {"H": H.copy(), "points": _points(rng)},
     normalised_homography: lambda rng: {"H": H.copy()},
     faces_camera: lambda rng: {"H": H.copy(), "points": _points(rng)},

@@ -55,7 +55,9 @@ def test_unusable_ones_do_not_count_and_the_first_ones_do_alone() -> None:
     usable[::2] = False
     moved[::2] = 100.0
     found = motions.fit(moved, usable)
-    assert_allclose(transform(motions.matrix(found.parameters), POINTS) - POINTS, np.tile([0.4, -0.2], (len(POINTS), 1)), atol=1e-3)
+    assert_allclose(
+        transform(motions.matrix(found.parameters), POINTS) - POINTS, np.tile([0.4, -0.2], (len(POINTS), 1)), atol=1e-3
+    )
     assert not found.agreeing[::2].any() and found.agreeing[1::2].all()
     first = motions.fit(moved[:30], usable[:30])
     assert len(first.agreeing) == 30

@@ -5,7 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.vision.projective.transform import faces_camera, local_jacobian, normalised_homography, transform
+from imgu_ros.vision.projective.transform import (
+    area_factor,
+    faces_camera,
+    local_jacobian,
+    normalised_homography,
+    transform,
+)
 
 H = np.array([[2.0, 0, 10], [0, 3, -4], [0, 0.01, 1]])
 
@@ -31,6 +37,16 @@ def test_local_jacobian_is_the_derivative() -> None:
         moved = np.eye(2)[axis] * step
         numeric = (transform(H, points + moved) - transform(H, points - moved)) / (2 * step)
         assert_allclose(local_jacobian(H, points)[:, :, axis], numeric, rtol=1e-6)
+
+
+def test_area_factor_is_the_determinant_of_the_jacobian() -> None:
+    rng = np.random.default_rng(8)
+    H, points = rng.normal(size=(3, 3)), rng.uniform(-1, 1, (20, 2))
+    for point, jacobian in zip(points, local_jacobian(H, points), strict=True):
+        assert area_factor(H, point) == pytest.approx(abs(np.linalg.det(jacobian)), rel=1e-9)
+        assert area_factor(-3 * H, point) == pytest.approx(area_factor(H, point))
+    with pytest.raises(DegenerateConfiguration, match="infinity"):
+        area_factor([[1, 0, 0], [0, 1, 0], [1, 0, 0]], (0, 5))
 
 
 def test_normalised_homography() -> None:
