@@ -76,7 +76,7 @@ def result_sink(expected: int, record: Sequence[str]) -> ResultSink:
     A process of its own, where that pays: threads hold up each other, as Python runs one of them at a time. With a
     thread where pictures or keypoints are recorded, which would all have to be handed over; the files are the same.
     """
-    if expected >= _WORTH_A_PROCESS and not record and sys.executable and len(os.sched_getaffinity(0)) > 1:
+    if expected >= _WORTH_A_PROCESS and not record and sys.executable and _processors() > 1:
         from imgu_ros.bags.result_process import ResultProcess
 
         try:
@@ -87,3 +87,8 @@ def result_sink(expected: int, record: Sequence[str]) -> ResultSink:
     from imgu_ros.bags.result_thread import ResultThread
 
     return ResultThread()
+
+
+def _processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

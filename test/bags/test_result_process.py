@@ -1,0 +1,169 @@
+"""Results written by another process are those that a thread writes, and whatever ends either, files are whole."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import pickle
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from imgu_ros.bags import result_sink
+from imgu_ros.bags.frame_source import FrameSource
+from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.recording import record_simulation
+from imgu_ros.bags.replay import replay
+from imgu_ros.bags.result_process import ResultProcess
+from imgu_ros.bags.result_sink import Files, Written
+from imgu_ros.bags.result_thread import ResultThread
+from imgu_ros.bags.result_writer import serve
+from imgu_ros.errors import BagError, FileError
+from imgu_ros.files.parameter_files import read_parameter_file
+from imgu_ros.files.target_images import load_target_images
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import Parameters
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.simulate.sequence import Simulation
+from imgu_ros.simulate.texture import procedural_texture
+
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("simulated") / "bag"
+    poster = TargetImage("poster", procedural_texture(640, 480), 0.5)
+    record_simulation(path, Simulation(width=320, height=240, frames=FRAMES), targets=[poster])
+    return path
+
+
+@pytest.fixture(scope="module")
+def parameters(bag: Path) -> Parameters:
+    return parameters_from(read_parameter_file(bag / "params.yaml"))
+
+
+@pytest.fixture
+def written(bag: Path, parameters: Parameters) -> list[Written]:
+    """Three frames' results."""
+    chain = Chain(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
+    with open_bag([bag]) as source:
+        frames = FrameSource(source, parameters).frames()
+        return [Written(chain.process(next(frames).frame), index) for index in range(3)]
+
+
+@pytest.fixture
+def in_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(result_sink, "_WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+
+
+def files(out: Path, parameters: Parameters) -> Files:
+    return Files(out, parameters, ("poster",), (), FRAMES)
+
+
+def untimed(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return [{k: v for k, v in row.items() if not k.startswith("t_")} for row in csv.DictReader(file)]
+
+
+def messages(out: Path) -> list[tuple[str, int, bytes]]:
+    with open_bag([out / "results"]) as bag:
+        assert bag.warnings == ()
+        # What `status` says of times differs.
+        return [
+            (raw.channel.topic, raw.time_ns, bytes(raw.data))
+            for raw in bag.raw_messages()
+            if raw.channel.topic != "/status"
+        ]
+
+
+def test_the_same_files(
+    bag: Path, parameters: Parameters, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_a_process: None
+) -> None:
+    one, other = tmp_path / "process", tmp_path / "thread"
+    in_process = replay([bag], one, parameters, truth=bag / "truth.csv")
+    monkeypatch.setattr(result_sink, "_WORTH_A_PROCESS", FRAMES + 1)
+    in_thread = replay([bag], other, parameters, truth=bag / "truth.csv")
+    assert sorted(path.name for path in one.iterdir()) == sorted(path.name for path in other.iterdir())
+    assert untimed(one / "frames.csv") == untimed(other / "frames.csv")
+    for name in ("poses_poster.tum", "ambiguous.csv"):
+        assert (one / name).read_bytes() == (other / name).read_bytes()
+    assert messages(one) == messages(other)
+    assert in_process.targets == in_thread.targets
+    summaries = [json.loads((out / "summary.json").read_text()) for out in (one, other)]
+    assert summaries[0]["parameters"] == summaries[1]["parameters"]
+    assert summaries[0]["source"] == summaries[1]["source"]
+    # The drawn frames do not tell times.
+    pictures = [(out / "report.html").read_text().split("data:image/jpeg;base64,")[1:] for out in (one, other)]
+    assert len(pictures[0]) == 6
+    assert [text.partition('"')[0] for text in pictures[0]] == [text.partition('"')[0] for text in pictures[1]]
+
+
+def test_what_is_chosen() -> None:
+    assert isinstance(result_sink.result_sink(FRAMES, ()), ResultThread)
+
+
+def test_without_another_process_a_thread_does_it(monkeypatch: pytest.MonkeyPatch, in_a_process: None) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(subprocess, "Popen", refused)
+    assert isinstance(result_sink.result_sink(FRAMES, ()), ResultThread)
+
+
+def test_pictures_are_recorded_by_a_thread(in_a_process: None) -> None:
+    assert isinstance(result_sink.result_sink(FRAMES, ("debug_image",)), ResultThread)
+
+
+def test_an_interrupt_leaves_whole_files(bag: Path, parameters: Parameters, tmp_path: Path, in_a_process: None) -> None:
+    def on_progress(done: int, total: int | None) -> None:
+        if done == 21:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        replay([bag], tmp_path / "out", parameters, on_progress=on_progress)
+    rows = untimed(tmp_path / "out" / "frames.csv")
+    assert len(rows) == 21
+    assert len((tmp_path / "out" / "poses_poster.tum").read_text().splitlines()) == sum(1 for r in rows if r["tx"])
+    assert len({time_ns for _, time_ns, _ in messages(tmp_path / "out")}) == 21
+    assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_an_error_before_the_first_frame_ends_the_process(tmp_path: Path) -> None:
+    sink = ResultProcess()
+    with pytest.raises(ZeroDivisionError), sink:
+        raise ZeroDivisionError
+    assert sink._process.returncode == -signal.SIGKILL
+
+
+def test_what_the_process_cannot_write_is_raised(
+    parameters: Parameters, written: list[Written], tmp_path: Path
+) -> None:
+    with pytest.raises(FileError, match=r"frames\.csv"), ResultProcess() as sink:
+        sink.open(files(tmp_path / "missing", parameters))
+        for item in written:
+            sink.put(item)
+
+
+def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: list[Written], tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="ended early, with code -9"), ResultProcess() as sink:
+        sink.open(files(tmp_path, parameters))
+        sink._process.kill()
+        sink._process.wait()
+        for _ in range(400):
+            sink.put(written[1])
+
+
+def test_an_input_that_breaks_off_leaves_whole_files(
+    parameters: Parameters, written: list[Written], tmp_path: Path
+) -> None:
+    stream = pickle.dumps(files(tmp_path, parameters)) + pickle.dumps(written) + pickle.dumps(written)[:-100]
+    assert serve(io.BytesIO(stream)) is None
+    assert len(untimed(tmp_path / "frames.csv")) == 3
+    assert len({time_ns for _, time_ns, _ in messages(tmp_path)}) == 3
