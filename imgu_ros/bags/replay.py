@@ -17,7 +17,7 @@ from imgu_ros.bags.read_ahead import ReadFrame, read_ahead, size_of
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recorded_topics import checked_record
 from imgu_ros.bags.result_sink import Files, ResultSink, Written, result_sink
-from imgu_ros.bags.switching import quick_thread_switches
+from imgu_ros.bags.switching import one_processor_left_over, quick_thread_switches
 from imgu_ros.codec.results import needs_keypoints
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.target_images import load_target_images
@@ -146,7 +146,7 @@ class _Run:
         worker = Chain(self.parameters, self.targets)
         with_keypoints = needs_keypoints(self.record)
         start = time.monotonic()
-        with quick_thread_switches():
+        with quick_thread_switches(), one_processor_left_over():
             for read in frames:
                 result = (
                     _rejected(read, names)

@@ -1,10 +1,12 @@
-"""How soon Python threads give way to each other."""
+"""How threads share the processors while frames are read, worked on and written at once."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 from collections.abc import Iterator
+
+import cv2
 
 #: Python's own 5 ms are longer than a frame's time.
 _INTERVAL_S = 0.0005
@@ -22,3 +24,14 @@ def quick_thread_switches() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before)
+
+
+@contextlib.contextmanager
+def one_processor_left_over() -> Iterator[None]:
+    """Let OpenCV use a processor less inside the block: its threads, while they wait for work, keep others from it."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(max(1, before - 1))
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 
 from imgu_ros.bags.frame_source import FrameSource
@@ -73,7 +74,9 @@ def assert_whole(out: Path, least: int) -> None:
 
 
 def test_the_same_as_one_frame_after_the_other(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    threads = cv2.getNumThreads()
     replay([bag], tmp_path / "out", parameters)
+    assert cv2.getNumThreads() == threads
     chain = Chain(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source, FramesWriter(tmp_path / "serial.csv") as serial:
         for recorded in FrameSource(source, parameters).frames():
