@@ -2,7 +2,7 @@
 
     python benchmarks/live.py --size 1920x1080 --rate 15 --seconds 60 --out live.json
 
-Writes a simulated Bayer bag first (some frames, played to and fro with new stamps), plays it at its own rate, and
+Writes a simulated Bayer bag first (one round of a smooth motion, again and again), plays it at its own rate, and
 prints what was lost (published, never delivered), skipped (replaced by a newer frame before it was worked on), and how
 long each pose took, as JSON. Needs the `ros` extra.
 """
@@ -81,8 +81,7 @@ def main() -> int:
     width, height = (int(part) for part in arguments.size.split("x"))
     with tempfile.TemporaryDirectory(prefix="imgu_live_", dir=arguments.scratch) as folder:
         count = round(arguments.seconds * arguments.rate)
-        motion = Motion(arguments.views, arguments.motion_frames)
-        write_bag(Path(folder), (width, height), arguments.rate, count, motion)
+        write_bag(Path(folder), (width, height), arguments.rate, count, arguments.round)
         # What is still to be written to the disk would hold up those who read from it.
         os.sync()
         figures = measure(Path(folder), arguments, count)
@@ -93,25 +92,16 @@ def main() -> int:
     return 0
 
 
-@dataclass(frozen=True)
-class Motion:
-    """The first `views` frames of a sequence that goes through its whole motion in `frames`, played to and fro."""
-
-    views: int
-    frames: int
-
-
-def write_bag(folder: Path, size: tuple[int, int], rate_hz: float, count: int, motion: Motion) -> None:
-    """Write `poster.png` and `bag`, `count` messages made of the motion's rendered frames."""
+def write_bag(folder: Path, size: tuple[int, int], rate_hz: float, count: int, around: int) -> None:
+    """Write `poster.png` and `bag`, `count` messages of a motion that comes round every `around` frames."""
     target = default_targets(1)[0]
     write_image(folder / "poster.png", target.pixels)
-    views = motion.views
-    simulation = Simulation(width=size[0], height=size[1], frames=max(motion.frames, views), rate_hz=rate_hz)
-    frames = [simulated.frame for simulated in islice(simulate_sequence(simulation, [target]), views)]
-    to_and_fro = [*range(views), *range(views - 2, 0, -1)] if views > 2 else list(range(views))
+    # The last frame of the motion is the first one again.
+    simulation = Simulation(width=size[0], height=size[1], frames=around + 1, rate_hz=rate_hz)
+    frames = [simulated.frame for simulated in islice(simulate_sequence(simulation, [target]), min(around, count))]
     with BagWriter(folder / "bag") as bag:
         for index in range(count):
-            frame = frames[to_and_fro[index % len(to_and_fro)]]
+            frame = frames[index % around]
             header = Header(START_NS + round(index * 1e9 / rate_hz), frame.frame_id)
             info = camera_info_message(make_message, header, frame.camera)
             bag.write(INFO_TOPIC, info, header.stamp_ns)
@@ -273,9 +263,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--size", default="1920x1080", metavar="WxH")
     parser.add_argument("--rate", type=float, default=15.0, metavar="HZ")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S")
-    parser.add_argument("--views", type=int, default=30, metavar="N", help="rendered frames that are repeated")
     parser.add_argument(
-        "--motion-frames",
+        "--round",
         type=int,
         default=120,
         metavar="N",

@@ -25,6 +25,8 @@ from imgu_ros.vision.matching.matches import Matches
 
 #: While one target is tracked, every so many searches for a few missing ones are thorough.
 _THOROUGH_EVERY = 6
+#: Sightings farther apart tell nothing about how a target moves.
+_STEADY_NS = 500_000_000
 
 
 class Chain:
@@ -43,6 +45,7 @@ class Chain:
         self._targets = tuple(targets)
         self._seeker = Seeker(self._targets, parameters)
         self._tracks: list[Track | None] = []
+        self._seen: list[Sighting | None] = []
         self._frames_without_search = 0
         self._searches = 0
         self.reset()
@@ -61,6 +64,7 @@ class Chain:
     def reset(self) -> None:
         """Forget all that earlier frames told."""
         self._tracks = [None] * len(self._targets)
+        self._seen = [None] * len(self._targets)
         self._frames_without_search = 0
         self._searches = 0
 
@@ -151,11 +155,22 @@ class Chain:
             track = self._tracks[result.index]
             if result.homography is None:
                 self._tracks[result.index] = None
-            elif track is None or result.status is Status.DETECTED:
-                self._tracks[result.index] = Track([Sighting(result.homography.H, frame.stamp_ns)])
+                continue
+            if track is None or result.status is Status.DETECTED:
+                sighting = Sighting(result.homography.H, frame.stamp_ns)
+                self._tracks[result.index] = Track([sighting, *self._shortly_before(result.index, frame)])
             else:
                 target = self._targets[result.index]
                 self._tracks[result.index] = track.continued(target, result.homography.H, frame.stamp_ns)
+            self._seen[result.index] = Sighting(result.homography.H, frame.stamp_ns)
+
+    def _shortly_before(self, index: int, frame: Frame) -> list[Sighting]:
+        """Return where a target was seen last, when that is no longer ago than it can move on steadily.
+
+        A target that moves fast has moved far when it was detected: two detections tell where it will be.
+        """
+        seen = self._seen[index]
+        return [seen] if seen is not None and 0 < frame.stamp_ns - seen.stamp_ns <= _STEADY_NS else []
 
 
 def _as_matches(alignment: Alignment) -> TargetMatches:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import PoseStatus, Result, Stage, Status
 from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
-from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_camera, simulate_sequence
+from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_camera, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.rotation import log_so3
@@ -206,3 +208,19 @@ def test_missing_targets_are_looked_for_now_and_then(one_target_frames: Frames, 
     chain = Chain(parameters_from({"tracking.search_every": 3}), targets)
     searched = [Stage.MATCH in chain.process(f.frame).times_ns for f in one_target_frames[:9]]
     assert searched == [True, False, False, True, False, False, True, False, False]
+
+
+def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
+    """Too far to be followed from one sighting; two detections tell how it moves."""
+    images = default_targets(1)
+    chain = Chain(Parameters(), prepare_targets(images, Parameters()))
+    frames = list(islice(simulate_sequence(Simulation(width=640, height=480, frames=20), images), 5))
+    statuses = [chain.process(simulated.frame).targets[0].status for simulated in frames]
+    assert statuses == [Status.DETECTED] * 2 + [Status.TRACKED] * 3
+    # After a pause nothing is known of the motion any more.
+    late = [replace(simulated.frame, stamp_ns=simulated.frame.stamp_ns + 10**10) for simulated in frames]
+    chain.reset()
+    assert chain.process(frames[0].frame).targets[0].status is Status.DETECTED
+    assert chain.process(late[1]).targets[0].status is Status.DETECTED
+    assert chain.process(late[2]).targets[0].status is Status.DETECTED
+    assert chain.process(late[3]).targets[0].status is Status.TRACKED

@@ -127,7 +127,7 @@ def guided_homography(
     >>> rows = np.arange(24, dtype=np.float32).reshape(6, 4) ** 2
     >>> xy = np.array([[0, 0], [90, 5], [80, 95], [5, 85], [40, 60], [60, 30]])
     >>> H = guided_homography(rows, rows, xy, xy + 7, np.array([[1, 0, 5], [0, 1, 6], [0, 0, 1]])).homography.H
-    >>> (H / H[2, 2]).round(6).tolist()[0]
+    >>> ((H / H[2, 2]).round(6) + 0.0).tolist()[0]
     [1.0, 0.0, 7.0]
     """
     gallery = prepare_gallery(dst, metric)

@@ -76,7 +76,7 @@ class PlaneMotion:
     >>> displacements[4] = 9
     >>> motions = PlaneMotion(points, affine=True)
     >>> motion = motions.fit(displacements, np.ones(6, bool))
-    >>> motions.matrix(motion.parameters).round(3).tolist()[0], motion.agreeing.tolist()
+    >>> (motions.matrix(motion.parameters).round(3) + 0.0).tolist()[0], motion.agreeing.tolist()
     ([1.1, 0.0, -5.0], [True, True, True, True, False, True])
     """
 
