@@ -2,11 +2,11 @@
 
     python benchmarks/replay.py --size 1920x1080 --frames 3000 --dir /some/disk --out replay.json
 
-Writes a simulated Bayer bag first (some rendered frames, played to and fro with new stamps; 2 MB a frame at
-1920x1080), runs the command as a process of its own, start-up, results bag and report included, and removes the bag.
-Prints as JSON: frames a second over the whole command, the process's CPU time, its peak of resident memory, and how
-flat its memory is: the median of resident less shared memory over the last 5 % of the frames, minus that over the 10th
-to the 15th %.
+Writes a simulated Bayer bag first (a motion that is repeated with new stamps; 2 MB a frame at 1920x1080), runs the
+command as a process of its own, start-up, results bag and report included, and removes the bag. Prints as JSON: frames
+a second over the whole command, its CPU time, its peak of resident memory, and how flat its memory is: the median of
+resident less shared memory over the last 5 % of the frames, minus that over the 10th to the 15th %. The command's
+processes count together; of the peak, pages that they share count twice.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from live import Motion, write_bag
+from live import write_bag
 
 _SAMPLE_S = 0.2
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -34,7 +34,7 @@ class Figures:
 
     size: str
     frames: int
-    views: int
+    motion_frames: int
     found: int
     seconds: float
     frames_per_s: float
@@ -64,8 +64,7 @@ def main() -> int:
     width, height = (int(part) for part in arguments.size.split("x"))
     with tempfile.TemporaryDirectory(prefix="imgu_replay_", dir=arguments.dir) as name:
         folder = Path(name)
-        motion = Motion(min(arguments.views, arguments.frames), arguments.motion_frames)
-        write_bag(folder, (width, height), arguments.rate, arguments.frames, motion)
+        write_bag(folder, (width, height), arguments.rate, arguments.frames, arguments.motion_frames)
         os.sync()  # what is still to be written to the disk would hold up those who read from it
         load = os.getloadavg()[0]
         run = _timed(folder, folder / "out", arguments.parameters)
@@ -74,7 +73,7 @@ def main() -> int:
     figures = Figures(
         size=arguments.size,
         frames=summary["frames"],
-        views=motion.views,
+        motion_frames=arguments.motion_frames,
         found=summary["targets"][0]["found"],
         seconds=round(run.seconds, 2),
         frames_per_s=round(summary["frames"] / run.seconds, 1),
@@ -113,8 +112,9 @@ def _timed(folder: Path, out: Path, parameters: list[str]) -> _Run:
             break
         if time.monotonic() >= due:
             due += _SAMPLE_S
-            samples.append((_bytes(out / "frames.csv"), _own_bytes(process.pid)))
-            peak_kib = max(peak_kib, _peak_kib(process.pid))
+            family = _family(process.pid)
+            samples.append((_bytes(out / "frames.csv"), sum(map(_own_bytes, family))))
+            peak_kib = max(peak_kib, sum(map(_peak_kib, family)))
         time.sleep(0.005)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
@@ -140,6 +140,16 @@ def _bytes(path: Path) -> int:
         return 0
 
 
+def _family(pid: int) -> list[int]:
+    """Return the process and those that it started."""
+    try:
+        threads = list(Path(f"/proc/{pid}/task").iterdir())
+        children = [int(child) for thread in threads for child in (thread / "children").read_text().split()]
+    except OSError:
+        return [pid]
+    return [pid, *(found for child in children for found in _family(child))]
+
+
 def _peak_kib(pid: int) -> int:
     """Return the most that was resident so far; what the kernel tells at the end counts this process's memory too."""
     try:
@@ -163,8 +173,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--size", default="1920x1080", metavar="WxH")
     parser.add_argument("--frames", type=int, default=3000, metavar="N")
     parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="of the stamps")
-    parser.add_argument("--views", type=int, default=60, metavar="N", help="rendered frames that are repeated")
-    parser.add_argument("--motion-frames", type=int, default=120, metavar="N", help="frames of a full roll")
+    parser.add_argument("--motion-frames", type=int, default=120, metavar="N", help="frames of the motion")
     parser.add_argument("--dir", type=Path, metavar="DIR", help="folder for the bag and the results")
     parser.add_argument(
         "-p", dest="parameters", action="append", default=[], metavar="NAME:=VALUE", help="parameter of the replay"
