@@ -27,12 +27,15 @@ from imgu_ros.vision.matching.matches import Matches
 _THOROUGH_EVERY = 6
 #: Sightings farther apart tell nothing about how a target moves.
 _STEADY_NS = 500_000_000
+#: Stamps that jump back by more belong to another recording, or to the same one played again.
+_JUMP_NS = 1_000_000_000
 
 
 class Chain:
     """From raw frames to poses of known targets.
 
-    Frames are expected in the order of time; the tracker remembers where targets were.
+    Frames are expected in the order of time; the tracker remembers where targets were. Stamps that jump back by more
+    than a second (a recording played in a loop) make it forget: the frames that follow are those of a new chain.
 
     Parameters
     ----------
@@ -48,6 +51,7 @@ class Chain:
         self._seen: list[Sighting | None] = []
         self._frames_without_search = 0
         self._searches = 0
+        self._last_ns: int | None = None
         self.reset()
 
     @property
@@ -67,6 +71,7 @@ class Chain:
         self._seen = [None] * len(self._targets)
         self._frames_without_search = 0
         self._searches = 0
+        self._last_ns = None
 
     def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
         """Work on one frame.
@@ -79,6 +84,9 @@ class Chain:
         with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
         development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
         """
+        if self._last_ns is not None and frame.stamp_ns < self._last_ns - _JUMP_NS:
+            self.reset()
+        self._last_ns = frame.stamp_ns
         development = development or develop_frame(frame, self._parameters)
         clock = StageClock()
         clock.times_ns[Stage.DEVELOP] = development.took_ns

@@ -27,9 +27,10 @@ def files_without_section(ros_arguments: Sequence[str], node_name: str) -> list[
 
 
 def _parameter_files(arguments: Sequence[str]) -> Iterator[str]:
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    following = iter(arguments)
+    for argument in following:
         if argument == "--params-file":
-            yield following
+            yield next(following, "")
         elif argument.startswith("--params-file="):
             yield argument.partition("=")[2]
 

@@ -146,6 +146,19 @@ def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_fr
     assert lost.reason == "matches: 0; need 8"  # of the blank frame
 
 
+def test_stamps_that_jump_back_begin_anew(one_target_frames: Frames, targets: Targets) -> None:
+    """A recording played in a loop gives the same numbers in every round; two frames swapped are no new recording."""
+    chain = Chain(Parameters(), targets[:1])
+    slow = [replace(f.frame, stamp_ns=i * 400_000_000) for i, f in enumerate(one_target_frames[:6])]
+    rounds = [[chain.process(frame).targets[0] for frame in slow] for _ in range(2)]
+    assert [t.status for t in rounds[0]] == [Status.DETECTED] + [Status.TRACKED] * 5
+    for first, again in zip(*rounds, strict=True):
+        assert again.status is first.status
+        assert np.array_equal(again.homography.H, first.homography.H)
+    chain.process(replace(slow[5], stamp_ns=slow[5].stamp_ns + 1))
+    assert chain.process(slow[5]).targets[0].status is Status.TRACKED
+
+
 def test_a_jump_is_detected_again_in_the_same_frame(one_target_frames: Frames, targets: Targets) -> None:
     chain = Chain(parameters_from({}), targets[:1])
     chain.process(one_target_frames[0].frame)

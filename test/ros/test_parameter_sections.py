@@ -29,3 +29,8 @@ def test_a_file_that_says_nothing_to_the_node_is_named(tmp_path, text, node, app
         lines = files_without_section(arguments, node)
         assert len(lines) == (0 if applies else 1)
         assert all(str(file) in line and node in line for line in lines)
+
+
+def test_without_files_there_is_nothing_to_say():
+    assert files_without_section([], "/perception") == []
+    assert files_without_section(["--ros-args", "-p", "seed:=1"], "/perception") == []
