@@ -41,7 +41,16 @@ class DegenerateConfiguration(EstimationError):
 
 
 class NoConsensus(EstimationError):
-    """No model agrees with enough of the points."""
+    """No model agrees with enough of the points.
+
+    Attributes
+    ----------
+    inliers : the most that agreed with one, where they were counted; else 0
+    """
+
+    def __init__(self, message: str = "", inliers: int = 0) -> None:
+        super().__init__(message)
+        self.inliers = inliers
 
 
 class NotConverged(EstimationError):

@@ -93,6 +93,7 @@ class TargetResult:
     pose : camera_from_target with its covariance; None unless `pose_status` is metric
     solutions : the refined planar solutions, best first: two, or one when the other cannot be
     ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
+    most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
     """
 
     name: str
@@ -106,6 +107,7 @@ class TargetResult:
     pose: Pose | None = None
     solutions: tuple[Pose, ...] = ()
     ambiguity: float | None = None
+    most_inliers: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -149,7 +149,8 @@ def ransac(
     wanted = max(min_inliers, model.sample_size + 1)
     if search.best is None or found < wanted:
         raise NoConsensus(
-            f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}"
+            f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}",
+            inliers=found,
         )
     return Consensus(search.best, inlier_mask, drawn)
 
