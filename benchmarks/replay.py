@@ -12,6 +12,7 @@ processes count together; of the peak, pages that they share count twice.
 from __future__ import annotations
 
 import argparse
+import compileall
 import json
 import os
 import subprocess
@@ -23,6 +24,8 @@ from pathlib import Path
 
 import numpy as np
 from live import write_bag
+
+import imgu_ros
 
 _SAMPLE_S = 0.2
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -95,6 +98,7 @@ def main() -> int:
 
 def _timed(folder: Path, out: Path, parameters: list[str]) -> _Run:
     """Run the command and watch it."""
+    compileall.compile_dir(Path(imgu_ros.__file__).parent, quiet=1)  # as pip does, whatever the environment says
     targets = ["-p", f"targets.images:=[{folder / 'poster.png'}]", "-p", "targets.widths_m:=[0.5]"]
     more = [part for value in parameters for part in ("-p", value)]
     imgu = [sys.executable, "-m", "imgu_ros.cli.main"]

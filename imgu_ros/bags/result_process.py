@@ -66,9 +66,10 @@ class ResultProcess:
 
     def put(self, written: Written) -> None:
         """Take one frame's result; wait while many have not been written."""
-        # A picture is handed over when it will be drawn; the other results are a few kilobytes.
-        is_drawn = self._choice.is_due(written.result)
-        self._batch.append(written if is_drawn else Written(_without_pictures(written.result), written.time_ns))
+        # A picture is handed over when it will be drawn; other results are a few kilobytes.
+        result = replace(written.result, pyramid=None, descriptors=None)
+        is_drawn = self._choice.is_due(result)
+        self._batch.append(Written(result if is_drawn else _without_pictures(result), written.time_ns))
         if is_drawn or len(self._batch) >= _BATCH:
             self._flush()
 
@@ -153,6 +154,4 @@ def _without_pictures(result: Result) -> Result:
         result,
         frame=replace(result.frame, image=_NO_PICTURE),
         developed=None if result.developed is None else _NOTHING_TO_SEE,
-        pyramid=None,
-        descriptors=None,
     )
