@@ -185,7 +185,10 @@ def test_wrong_interpreter_on_request_is_refused(sandbox: Sandbox) -> None:
     assert "IMGU_PYTHON=python3.11" in done.stderr
 
 
-@pytest.mark.parametrize("script", ["scripts/demo", "scripts/test", "scripts/pin", "scripts/environment.sh", ".ci/run"])
+SCRIPTS = ("scripts/demo", "scripts/test", "scripts/pin", "scripts/colcon", "scripts/environment.sh", ".ci/run")
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
 def test_scripts_parse(script: str) -> None:
     path = REPOSITORY / script
     assert subprocess.run(["bash", "-n", str(path)], capture_output=True, text=True, timeout=30).stderr == ""
