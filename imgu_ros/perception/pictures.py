@@ -32,7 +32,7 @@ class Pictures:
     @property
     def most_halvings(self) -> int:
         """How often the picture can be halved and still shows something."""
-        return max(0, (min(self.shape) // _SMALLEST_SIDE_PX).bit_length() - 1)
+        return most_halvings(self.shape)
 
     def halved(self, times: int) -> Image:
         """Return the picture halved `times` times: each pixel is the mean of 2^times x 2^times, whole ones only.
@@ -59,3 +59,8 @@ class Pictures:
     def cut(self, sheet: Sheet) -> Image:
         """Return squares of the picture at full resolution as a sheet; they must begin at even pixels."""
         return self._developed.cut(sheet)
+
+
+def most_halvings(shape: tuple[int, int]) -> int:
+    """Return how often a picture of `shape`, (height, width) px, can be halved and still shows something."""
+    return max(0, (min(shape) // _SMALLEST_SIDE_PX).bit_length() - 1)

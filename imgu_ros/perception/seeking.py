@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,9 +12,10 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.features import Features, find_features, thoroughly
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.locating import draws
 from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.result import Stage, TargetResult
-from imgu_ros.perception.search import Look, Searched, search
+from imgu_ros.perception.result import Stage, Status, TargetResult
+from imgu_ros.perception.search import Look, Searched, search, tentative_matches
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -111,16 +112,27 @@ class Seeker:
         parameters = thoroughly(self._parameters) if look is Look.THOROUGH else self._parameters
         with clock.measures(Stage.MATCH):
             likely = self._likely(features.described, missing, _FEWEST_VOTES[look])
-        failures = 0
-        for index in likely:
-            # A stream of draws for each frame and target: a skipped frame changes no other frame's draws.
-            rng = np.random.default_rng((self._parameters.seed, view.frame.stamp_ns % 2**64, index))
-            result = search(self._targets[index], index, searched, parameters, rng, clock)
-            failures = 0 if result.status.found else failures + 1
+        results = (
+            search(
+                self._targets[index],
+                index,
+                searched,
+                parameters,
+                draws(self._parameters, view.frame.stamp_ns, index),
+                clock,
+            )
+            for index in likely
+        )
+        for result in while_promising(results):
             # The frame's keypoints that are told are all those of the first look.
             yield _without_indices(result) if look is not Look.FIRST or view.covered else result
-            if failures >= _FAILURES:
-                break
+
+    def match(self, described: Descriptions) -> Iterator[TargetResult]:
+        """Yield the targets that a first look would look for, the most likely first, with their tentative matches."""
+        for index in self._likely(described, range(len(self._targets)), _FEWEST_VOTES[Look.FIRST]):
+            target = self._targets[index]
+            matches = tentative_matches(target.features, described, self._parameters)
+            yield TargetResult(target.name, index, Status.LOST, matches=matches)
 
     def _likely(self, described: Descriptions, missing: Sequence[int], fewest: int) -> Sequence[int]:
         """Return the missing targets that are worth a search, the most likely first."""
@@ -130,6 +142,16 @@ class Seeker:
         votes = self._index.votes(described.descriptors)[candidates]
         order = np.argsort(-votes, kind="stable")
         return [int(index) for index in candidates[order[votes[order] >= fewest]]]
+
+
+def while_promising(results: Iterable[TargetResult]) -> Iterator[TargetResult]:
+    """Yield results, the most likely targets first, until several in a row say that there is nothing to be found."""
+    failures = 0
+    for result in results:
+        failures = 0 if result.status.found else failures + 1
+        yield result
+        if failures >= _FAILURES:
+            break
 
 
 def _without_indices(result: TargetResult) -> TargetResult:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.params import Parameters
-from imgu_ros.perception.features import thoroughly
+from imgu_ros.perception.features import as_told, thoroughly
 from imgu_ros.perception.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
@@ -183,4 +183,5 @@ def _described(grey: Image, parameters: Parameters, count: int, scales: _Scales 
 
 def _gathered(described: Descriptions, parameters: Parameters) -> TargetFeatures:
     metric = metric_for(parameters.descriptor.kind, parameters.matching.metric)
+    described = Descriptions(as_told(described.keypoints), described.descriptors)
     return TargetFeatures(described, prepare_gallery(described.descriptors, metric, described.keypoints.xy))
