@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -32,9 +33,24 @@ from imgu_ros.vision.camera.rigid import rigid_transforms
 _IMAGE = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _TF = "tf2_msgs/msg/TFMessage"
+_TF_TOPIC = "/tf"
 _PATH = "nav_msgs/msg/Path"
 #: A queue of large pictures only makes slow subscribers slower.
 _IMAGE_DEPTH = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """The topics of a node that has a part of `perception`'s, and others.
+
+    Attributes
+    ----------
+    includes : tells whether the node has one of `perception`'s topics
+    beside : its other topics, for `Outputs.offer`, and their types
+    """
+
+    includes: Callable[[str], bool]
+    beside: Mapping[str, str]
 
 
 class Outputs:
@@ -47,6 +63,7 @@ class Outputs:
     node : creates the publishers
     target_names : in the order of `targets.images`
     parameters : `pyramid.levels`, `publish_tf`, `frames`, `tf`, `path` and `targets.poses` are used
+    choice : which topics; None: all of the node `perception`
 
     Raises
     ------
@@ -54,7 +71,9 @@ class Outputs:
         If `publish_tf` is set and tf2_msgs is not installed, or `targets.poses` holds no poses.
     """
 
-    def __init__(self, node: Node, target_names: Sequence[str], parameters: Parameters) -> None:
+    def __init__(
+        self, node: Node, target_names: Sequence[str], parameters: Parameters, choice: Choice | None = None
+    ) -> None:
         if parameters.publish_tf and parameters.tf.root_frame:
             raise ParameterError(
                 f"tf.root_frame: {parameters.tf.root_frame!r} is not available in this version; "
@@ -70,7 +89,8 @@ class Outputs:
             for name in target_names
         }
         self._map = _map_frame(parameters)
-        self._always = parameters.publish_tf
+        self._choice = choice
+        self._always = parameters.publish_tf and self._is_chosen(_TF_TOPIC)
         try:
             self._create(target_names)
         except BaseException:
@@ -105,11 +125,15 @@ class Outputs:
             self._publish_target(result, target, [f"targets/{target.name}/"] + ([""] if position == 0 else []))
         if self._always:
             message = result_tf_message(make_message, result, self._parameters.frames.target_prefix, self._map)
-            self._send("/tf", message)
+            self._send(_TF_TOPIC, message)
 
     def publish_rejected(self, result: Result) -> None:
         """Publish what is to be said about a frame that could not be read: its status."""
         self._publish("status", partial(FRAME_OUTPUTS["status"].message, make_message, result))
+
+    def offer(self, topic: str, make: Callable[[], Any]) -> None:
+        """Publish on one topic what `make` makes, when somebody listens."""
+        self._publish(topic, make)
 
     def qos_override_names(self) -> list[str]:
         """Return the parameters that override the QoS of the outputs."""
@@ -134,10 +158,17 @@ class Outputs:
                 self._add(prefix + topic, target_output.type_name)
             self._add(prefix + "path", _PATH)
         if self._always:
-            self._add("/tf", _TF, depth=100)
+            self._add(_TF_TOPIC, _TF, depth=100)
+        for topic, type_name in (self._choice.beside if self._choice else {}).items():
+            self._add(topic, type_name)
         self._of_keypoints = [topic for topic in self._publishers if needs_keypoints([topic])]
 
+    def _is_chosen(self, topic: str) -> bool:
+        return self._choice is None or self._choice.includes(topic) or topic in self._choice.beside
+
     def _add(self, topic: str, type_name: str, depth: int | None = None) -> None:
+        if not self._is_chosen(topic):
+            return
         depth = depth or (_IMAGE_DEPTH if type_name in (_IMAGE, _COMPRESSED) else 10)
         self._publishers[topic] = self._node.create_publisher(
             message_class(type_name),
