@@ -5,18 +5,21 @@ Columns are aligned to their size, so that a reader in C may take pointers to th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.point_cloud import Table, decode_point_cloud, point_cloud_message
 from imgu_ros.errors import EncodingError
-from imgu_ros.perception.result import TargetResult
+from imgu_ros.perception.result import TargetMatches, TargetResult
 from imgu_ros.types import Image
 from imgu_ros.vision.keypoints.keypoints import Keypoints
+from imgu_ros.vision.matching.matches import Matches
+from imgu_ros.vision.projective.homography import HomographyEstimate
 
 _KEYPOINT = (("x", "f4"), ("y", "f4"), ("scale", "f4"), ("angle", "f4"), ("response", "f4"), ("octave", "i4"))
 
@@ -32,6 +35,8 @@ MATCH_DTYPE = np.dtype(
     ],
     align=True,
 )
+
+_MATCH_NUMBERS = ("template_x", "template_y", "image_x", "image_y", "distance")
 
 HOMOGRAPHY_DTYPE = np.dtype(
     [("target", "i4"), ("h", "f8", (9,)), ("covariance", "f8", (81,)), ("n_inliers", "i4"), ("rms_px", "f4")],
@@ -111,6 +116,21 @@ def decode_matches(message: Any) -> Table:
     return table
 
 
+def decode_target_matches(message: Any) -> dict[int, TargetMatches]:
+    """Read what `matches_message` writes: the matches of each target, in the order in which targets appear first.
+
+    They name no keypoints: `index_src` and `index_dst` are -1.
+
+    Raises
+    ------
+    EncodingError
+        If a column is missing, a coordinate is not finite, or the message is not a readable PointCloud2.
+    """
+    table = decode_matches(message)
+    numbers, first = np.unique(_column(table, "target"), return_index=True)
+    return {int(number): _target_matches(table[table["target"] == number]) for number in numbers[np.argsort(first)]}
+
+
 def homographies_message(make: MessageFactory, header: Header, targets: Sequence[TargetResult]) -> Any:
     """Return the homographies as one PointCloud2 with the columns of `HOMOGRAPHY_DTYPE`: a row for each target seen."""
     seen = [target for target in targets if target.homography is not None]
@@ -131,6 +151,63 @@ def decode_homographies(message: Any) -> Table:
     table = decode_point_cloud(message)
     _require(table, HOMOGRAPHY_DTYPE.names or ())
     return table
+
+
+def decode_estimates(message: Any, inliers: Mapping[int, int]) -> dict[int, HomographyEstimate]:
+    """Read what `homographies_message` writes: the homography of each target, of points that all agree.
+
+    Parameters
+    ----------
+    message : sensor_msgs/PointCloud2
+    inliers : number of points of each target; targets without are left out
+
+    Raises
+    ------
+    EncodingError
+        If a column is missing or has another length, a number is not finite, a matrix is singular, or the message is
+        not a readable PointCloud2.
+    """
+    table = decode_homographies(message)
+    found = {}
+    for row in table:
+        index = int(row["target"])
+        H, covariance = np.ravel(row["h"]), np.ravel(row["covariance"])
+        if H.size != 9 or covariance.size != 81 or not (np.isfinite(H).all() and np.isfinite(covariance).all()):
+            raise EncodingError(
+                f"homography of target {index}: {H.size} + {covariance.size} values; need 9 + 81, finite"
+            )
+        matrix = np.array(H, np.float64).reshape(3, 3)
+        if not np.linalg.det(matrix) > 0 or not float(row["rms_px"]) >= 0:
+            raise EncodingError(
+                f"homography of target {index}: determinant {np.linalg.det(matrix):g}, rms_px {row['rms_px']:g}; "
+                "need > 0 and >= 0"
+            )
+        if index in inliers:
+            agreeing = np.ones(inliers[index], bool)
+            spread = np.array(covariance, np.float64).reshape(9, 9)
+            found[index] = HomographyEstimate(matrix, spread, agreeing, float(row["rms_px"]), 0)
+    return found
+
+
+def _target_matches(table: Table) -> TargetMatches:
+    none = np.full(len(table), -1, np.intp)
+    columns = {name: _column(table, name).astype(np.float64) for name in _MATCH_NUMBERS}
+    if not all(np.isfinite(column).all() for column in columns.values()):
+        raise EncodingError("matches: a coordinate or distance is not finite; need finite numbers")
+    return TargetMatches(
+        Matches(none, none, columns["distance"]),
+        np.column_stack((columns["template_x"], columns["template_y"])),
+        np.column_stack((columns["image_x"], columns["image_y"])),
+        _column(table, "inlier") != 0,
+    )
+
+
+def _column(table: Table, name: str) -> NDArray[Any]:
+    """Return a column of single numbers."""
+    column = table[name]
+    if column.ndim != 1:
+        raise EncodingError(f"point cloud: field {name}, {column.shape[1:]} values; need one")
+    return column
 
 
 def _require(table: Table, names: Sequence[str]) -> None:

@@ -87,7 +87,7 @@ def result_matches_message(make: MessageFactory, result: Result) -> Any | None:
 
 def result_homographies_message(make: MessageFactory, result: Result) -> Any | None:
     """Return `homography`: empty when no target was seen, None when the frame was rejected."""
-    return None if result.developed is None else homographies_message(make, result_header(result), result.targets)
+    return None if result.reason else homographies_message(make, result_header(result), result.targets)
 
 
 def result_status_message(make: MessageFactory, result: Result) -> Any:

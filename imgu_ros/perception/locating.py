@@ -30,6 +30,10 @@ _DETECTION_REACH_PX = 8.0
 _CONFIRMING_SHARE = 0.6
 
 
+#: What `posed` does, or a part of it.
+Finish = Callable[[TargetResult, Target, Located, Camera | None, Parameters], TargetResult]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """What tentative matches are weighed by.
@@ -54,6 +58,7 @@ def located(
     rng: np.random.Generator,
     clock: StageClock,
     guide: Callable[[Guided], Guided] | None = None,
+    finish: Finish = posed,
 ) -> TargetResult:
     """Find where a target is by its tentative matches; what fails becomes a status with its reason.
 
@@ -66,6 +71,7 @@ def located(
     rng : draws minimal samples
     clock : takes the time of the stages
     guide : looks for more matches once the target was found; None: those given are all
+    finish : completes the result by what its place tells
     """
     matches = target.matches
     if matches is None:
@@ -103,7 +109,7 @@ def located(
         return replace(target, reason=str(error))
     detected = replace(target, status=Status.DETECTED, matches=matches, most_inliers=0)
     with clock.measures(Stage.POSE):
-        return posed(detected, known, place, sight.camera, parameters)
+        return finish(detected, known, place, sight.camera, parameters)
 
 
 def draws(parameters: Parameters, stamp_ns: int, index: int) -> np.random.Generator:
