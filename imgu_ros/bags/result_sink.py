@@ -76,7 +76,9 @@ def result_sink(expected: int, record: Sequence[str]) -> ResultSink:
     A process of its own, where that pays: threads hold up each other, as Python runs one of them at a time. With a
     thread where pictures or keypoints are recorded, which would all have to be handed over; the files are the same.
     """
-    if expected >= _WORTH_A_PROCESS and not record and sys.executable and _processors() > 1:
+    # In a program that was frozen into one file, that file stands where the interpreter should.
+    has_python = bool(sys.executable) and not getattr(sys, "frozen", False)
+    if expected >= _WORTH_A_PROCESS and not record and has_python and _processors() > 1:
         from imgu_ros.bags.result_process import ResultProcess
 
         try:
