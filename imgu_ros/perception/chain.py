@@ -16,11 +16,12 @@ from imgu_ros.perception.features import find_features
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import posed
+from imgu_ros.perception.prediction import Sighting, Track
 from imgu_ros.perception.refinement import Alignment
 from imgu_ros.perception.result import Result, Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.seeking import Seeker, View
 from imgu_ros.perception.targets import Target
-from imgu_ros.perception.tracking import Sighting, Track, follow, located
+from imgu_ros.perception.tracking import follow, located
 from imgu_ros.vision.matching.matches import Matches
 
 #: While one target is tracked, every so many searches for a few missing ones are thorough.

@@ -155,5 +155,15 @@ def reduced_picture(pictures: Pictures, parameters: Parameters) -> Reduced:
     return Reduced(image, full_size)
 
 
+def plain_picture(pictures: Pictures, parameters: Parameters) -> Reduced:
+    """Return the picture from which `reduced_picture` can be made elsewhere: the same, or all of a frame's pixels.
+
+    Steps of `preprocess` come before the reduction, and are left to whoever makes the pyramid.
+    """
+    if not _is_preprocessed(parameters):
+        return reduced_picture(pictures, parameters)
+    return Reduced(pictures.halved(0), np.array(pictures.shape[::-1]))
+
+
 def _is_preprocessed(parameters: Parameters) -> bool:
     return parameters.preprocess != PreprocessParameters()

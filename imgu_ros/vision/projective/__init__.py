@@ -14,6 +14,7 @@ A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_
 | `refine` | what a fit may minimise: transfer, symmetric, Sampson and reprojection errors | accuracy |
 | `estimate` | `estimate_homography`, `fit_homography`: robust, refined, with a covariance | matches with wrong ones among them |
 | `increments` | `PlaneMotion.fit`: the small motion that most displacements agree on | patches were aligned |
+| `logarithm` | of a homography: the motion's velocity, any share of it | a motion is to go on |
 | `condensed` | `condensed_homography`: H and all that its displacements tell, in two 8x8 matrices | a pose is to be fitted next |
 
 Points are `(N, 2)`, or homogeneous `(N, 3)` where infinity is allowed; lines `(N, 3)`. What is homogeneous is returned

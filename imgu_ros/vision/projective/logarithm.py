@@ -1,0 +1,92 @@
+"""The logarithm of a homography: to a plane's motion on the picture what a velocity is to a distance.
+
+By inverse scaling and squaring (Higham, Functions of Matrices, 2008, sections 6.3 and 11.5): square roots bring the
+matrix near the identity, where a series is short.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imgu_ros.errors import DegenerateConfiguration
+from imgu_ros.types import Matrix3, as_matrix
+
+_NEAR = 0.25
+_MOST_ROOTS = 12
+_MOST_STEPS = 30
+_EXACT = 1e-12
+#: Terms of the series: at `_NEAR` what is left out is some 1e-12.
+_TERMS = 6
+_PLAIN = (1e-30, 1e30)
+_IDENTITY = np.eye(3)
+_NO_LOGARITHM = "H: no real logarithm; need a motion of less than half a turn, in coordinates of moderate size"
+
+
+def logarithm(H: ArrayLike) -> Matrix3:
+    """Return L, (3, 3) of trace 0, with exp(L) ~ H: exp(s L) is the share s of the motion, also beyond 1.
+
+    Parameters
+    ----------
+    H : (3, 3) homography from a picture to itself, of coordinates of moderate size (about the plane's own)
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If H turns the plane over or is singular, or its motion is half a turn or more.
+    ShapeError
+        If H is not (3, 3) of finite numbers.
+
+    Examples
+    --------
+    A shift is a velocity times a time:
+
+    >>> logarithm([[1, 0, 6], [0, 1, -2], [0, 0, 1]]).round(9).tolist()[0]
+    [0.0, 0.0, 6.0]
+    """
+    H = as_matrix(H, (3, 3), "H")
+    largest = float(np.abs(H).max())
+    det = float(cv2.determinant(H / largest)) if _PLAIN[0] < largest < _PLAIN[1] else 0.0
+    if not _PLAIN[0] < det:
+        raise DegenerateConfiguration("H: singular, or it turns the plane over; need one seen from its front")
+    A = H / (largest * det ** (1 / 3))
+    for roots in range(_MOST_ROOTS):
+        if float(np.abs(A - _IDENTITY).max()) < _NEAR:
+            return _near_identity(A) * 2.0**roots
+        A = _square_root(A)
+    raise DegenerateConfiguration(_NO_LOGARITHM)
+
+
+def _near_identity(A: Matrix3) -> Matrix3:
+    # log A = 2 artanh Z, Z = (A - I) (A + I)^-1.
+    Z = (A - _IDENTITY) @ _inverse(A + _IDENTITY)
+    squared, power, total = Z @ Z, Z, Z
+    for term in range(1, _TERMS):
+        power = power @ squared
+        total = total + power / (2 * term + 1)
+    return 2 * total + 0.0
+
+
+def _square_root(A: Matrix3) -> Matrix3:
+    """Return the square root of eigenvalues with a positive real part, by Denman and Beavers' iteration."""
+    root, inverse_root = A, _IDENTITY
+    for _ in range(_MOST_STEPS):
+        further, inverse_root = (root + _inverse(inverse_root)) / 2, (inverse_root + _inverse(root)) / 2
+        change = float(np.abs(further - root).max())
+        root = further
+        if not math.isfinite(change):
+            break
+        if change <= _EXACT * float(np.abs(root).max()):
+            return root
+    raise DegenerateConfiguration(_NO_LOGARITHM)
+
+
+def _inverse(A: Matrix3) -> Matrix3:
+    # Of three rows, OpenCV is five times as fast as numpy.
+    regular, inverse = cv2.invert(A)
+    if not regular:
+        raise DegenerateConfiguration(_NO_LOGARITHM)
+    return np.asarray(inverse, np.float64)
