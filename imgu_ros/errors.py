@@ -24,6 +24,10 @@ class BagError(ImguError):
     """A bag cannot be opened, read or written."""
 
 
+class FrameError(ImguError):
+    """Two coordinate frames are not connected, or not at that time."""
+
+
 class FileError(ImguError):
     """A file other than a bag cannot be read or written."""
 

@@ -1,20 +1,21 @@
-"""Outlines, poses, odometry, paths and transforms -> messages."""
+"""Outlines, poses, odometry, paths and transforms -> messages; transforms back again."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from imgu_ros.codec.factory import MessageFactory
-from imgu_ros.codec.header import Header, header_message
-from imgu_ros.errors import ParameterError
+from imgu_ros.codec.header import Header, decode_header, header_message
+from imgu_ros.errors import ParameterError, ShapeError
+from imgu_ros.perception.frame_tree import StampedTransform
 from imgu_ros.types import Floats, Matrix3, Points
 from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.camera.rigid import rigid_transform
 from imgu_ros.vision.camera.rotation import quaternion
 
 #: Variance that says "unknown" in nav_msgs/Odometry.
@@ -83,11 +84,15 @@ class PathHistory:
         self._last_ns: int | None = None
         self._sent_ns: int | None = None
 
+    def clear(self) -> None:
+        """Begin anew."""
+        self._poses.clear()
+        self._last_ns = self._sent_ns = None
+
     def add(self, stamp_ns: int, camera_from_target: Pose) -> Any | None:
         """Add the camera's pose; return the nav_msgs/Path when one is due, else None."""
         if self._last_ns is not None and stamp_ns < self._last_ns - _PATH_PERIOD_NS:
-            self._poses.clear()
-            self._sent_ns = None
+            self.clear()
         self._last_ns = stamp_ns
         make, header = self._make, Header(stamp_ns, self._target_frame)
         target_from_camera = camera_from_target.inverse()
@@ -104,21 +109,12 @@ class PathHistory:
         return make("nav_msgs/msg/Path", header=header_message(make, header), poses=list(self._poses))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StampedTransform:
-    """`parent_from_child`, and the names of the two frames: what /tf carries."""
-
-    parent: str
-    child: str
-    parent_from_child: RigidTransform
-
-
-def tf_message(make: MessageFactory, stamp_ns: int, transforms: Sequence[StampedTransform]) -> Any:
+def tf_message(make: MessageFactory, transforms: Sequence[StampedTransform]) -> Any:
     """Return a tf2_msgs/TFMessage."""
     messages = [
         make(
             "geometry_msgs/msg/TransformStamped",
-            header=header_message(make, Header(stamp_ns, transform.parent)),
+            header=header_message(make, Header(transform.stamp_ns, transform.parent)),
             child_frame_id=transform.child,
             transform=make(
                 "geometry_msgs/msg/Transform",
@@ -129,6 +125,22 @@ def tf_message(make: MessageFactory, stamp_ns: int, transforms: Sequence[Stamped
         for transform in transforms
     ]
     return make("tf2_msgs/msg/TFMessage", transforms=messages)
+
+
+def decode_tf_message(message: Any) -> list[StampedTransform]:
+    """Read a tf2_msgs/TFMessage; what is no transform (a zero quaternion, NaN, a frame without a name) is left out.
+
+    A leading slash of a frame's name, as ROS 1 wrote it, is not part of the name.
+    """
+    transforms = []
+    for one in message.transforms:
+        header, moved, turned = decode_header(one), one.transform.translation, one.transform.rotation
+        numbers = [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
+        parent, child = header.frame_id.lstrip("/"), str(one.child_frame_id).lstrip("/")
+        if parent and child and parent != child:
+            with suppress(ShapeError):
+                transforms.append(StampedTransform(header.stamp_ns, parent, child, rigid_transform(numbers)))
+    return transforms
 
 
 def _pose_with_covariance(make: MessageFactory, pose: Pose) -> Any:

@@ -6,22 +6,20 @@ for its topic: a rejected frame has no pictures, a lost target no outline.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from imgu_ros.codec.encodings import encoding_for
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.features import homographies_message, keypoints_message, matches_message
-from imgu_ros.codec.geometry import StampedTransform, odometry_message, outline_message, pose_message, tf_message
+from imgu_ros.codec.geometry import odometry_message, outline_message, pose_message
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
 from imgu_ros.codec.status import status_message
+from imgu_ros.perception.frame_tree import StampedTransform
 from imgu_ros.perception.result import Result, TargetResult
 from imgu_ros.types import Image
-from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,59 +110,18 @@ def target_odometry_message(
     return None if target.pose is None else odometry_message(make, result_header(result), target_frame, target.pose)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MapFrame:
-    """How targets with known places tie the camera, or its robot, to the map.
-
-    Attributes
-    ----------
-    name : the map's frame
-    map_from_target : for each target, in the order of `targets.images`
-    root_frame : child of the map; "": the camera's own frame
-    camera_from_root : from the robot's tree; None when it is not known (yet). Not needed for the camera's own frame
-    """
-
-    name: str
-    map_from_target: Sequence[RigidTransform]
-    root_frame: str = ""
-    camera_from_root: RigidTransform | None = None
-
-
-def result_tf_message(
-    make: MessageFactory, result: Result, target_prefix: str, map_frame: MapFrame | None
-) -> Any | None:
-    """Return a TFMessage: camera -> each target with a pose, and map -> root when a map is given.
-
-    The root is placed by the target whose camera position is the most certain. A target's only parent is the camera,
-    and the root's only parent the map. None when no target has a pose.
-    """
-    camera_frame = result.frame.frame_id
-    posed = [target for target in result.targets if target.pose is not None]
-    transforms = [
-        StampedTransform(camera_frame, target_prefix + target.name, target.pose.transform)
-        for target in posed
+def target_transforms(result: Result, target_prefix: str) -> list[StampedTransform]:
+    """Return camera -> target for each target with a pose, for /tf."""
+    stamp_ns, camera_frame = result.frame.stamp_ns, result.frame.frame_id
+    return [
+        StampedTransform(stamp_ns, camera_frame, target_prefix + target.name, target.pose.transform)
+        for target in result.targets
         if target.pose is not None
     ]
-    if posed and map_frame is not None:
-        transforms += _map_transforms(posed, camera_frame, map_frame)
-    return tf_message(make, result.frame.stamp_ns, transforms) if transforms else None
-
-
-def _map_transforms(posed: Sequence[TargetResult], camera_frame: str, map_frame: MapFrame) -> list[StampedTransform]:
-    camera_from_root = map_frame.camera_from_root
-    root_frame = map_frame.root_frame or camera_frame
-    if root_frame == camera_frame:
-        camera_from_root = RigidTransform(np.eye(3), np.zeros(3))
-    if camera_from_root is None:
-        return []
-    places = [(target.index, target.pose.inverse()) for target in posed if target.pose is not None]
-    index, camera_place = min(places, key=lambda place: float(np.trace(place[1].covariance[:3, :3])))
-    map_from_root = map_frame.map_from_target[index].after(camera_place.transform).after(camera_from_root)
-    return [StampedTransform(map_frame.name, root_frame, map_from_root)]
 
 
 #: Topics with one message a frame; beside them `pyramid/level_<k>` (`level_message`), `debug_image`
-#: (`picture_message`) and /tf (`result_tf_message`).
+#: (`picture_message`), `map/odom` (`odometry_message`), `map/path` (`PathHistory`) and /tf (`tf_message`).
 FRAME_OUTPUTS: Mapping[str, FrameOutput] = {
     "image_color": FrameOutput("sensor_msgs/msg/Image", color_message),
     "image_mono": FrameOutput("sensor_msgs/msg/Image", mono_message),

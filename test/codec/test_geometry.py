@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from imgu_ros.codec.geometry import (
     PathHistory,
-    StampedTransform,
+    decode_tf_message,
     odometry_message,
     outline_message,
     pose_message,
@@ -14,6 +14,7 @@ from imgu_ros.codec.geometry import (
 )
 from imgu_ros.codec.header import Header, decode_header
 from imgu_ros.errors import ParameterError
+from imgu_ros.perception.frame_tree import StampedTransform
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 
@@ -94,10 +95,37 @@ def test_tf():
     from imgu_ros.bags.messages import make_message
 
     R = Rotation.from_euler("z", 90, degrees=True).as_matrix()
-    transform = StampedTransform("camera", "poster", RigidTransform(R, np.array([1.0, 2.0, 3.0])))
-    message = tf_message(make_message, 7, [transform])
+    transform = StampedTransform(7, "camera", "poster", RigidTransform(R, np.array([1.0, 2.0, 3.0])))
+    message = tf_message(make_message, [transform])
     (got,) = message.transforms
     assert (got.header.frame_id, got.child_frame_id) == ("camera", "poster")
     assert decode_header(got).stamp_ns == 7
     np.testing.assert_array_equal(xyz(got.transform.translation), [1, 2, 3])
     np.testing.assert_allclose(quaternion(got.transform.rotation), [0, 0, np.sqrt(0.5), np.sqrt(0.5)], atol=1e-15)
+    (again,) = decode_tf_message(message)
+    assert (again.stamp_ns, again.parent, again.child) == (7, "camera", "poster")
+    np.testing.assert_allclose(again.parent_from_child.matrix, transform.parent_from_child.matrix, atol=1e-15)
+
+
+def test_transforms_that_are_none_are_left_out():
+    from imgu_ros.bags.messages import make_message
+
+    def one(parent: str, child: str, **changes: float):
+        (message,) = tf_message(
+            make_message, [StampedTransform(7, parent, child, RigidTransform(np.eye(3), np.zeros(3)))]
+        ).transforms
+        for name, value in changes.items():
+            part = message.transform.rotation if name == "w" else message.transform.translation
+            object.__setattr__(part, name, value)
+        return message
+
+    transforms = [
+        one("a", "b", w=0.0),
+        one("a", "c", x=np.nan),
+        one("", "d"),
+        one("a", ""),
+        one("a", "a"),
+        one("/a", "/e"),
+    ]
+    message = make_message("tf2_msgs/msg/TFMessage", transforms=transforms)
+    assert [(t.parent, t.child) for t in decode_tf_message(message)] == [("a", "e")]

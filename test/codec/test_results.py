@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from imgu_ros.codec.features import (
     decode_homographies,
@@ -19,14 +18,12 @@ from imgu_ros.codec.point_cloud import point_cloud_message
 from imgu_ros.codec.results import (
     FRAME_OUTPUTS,
     TARGET_OUTPUTS,
-    MapFrame,
     level_message,
     needs_keypoints,
-    result_tf_message,
+    target_transforms,
 )
 from imgu_ros.errors import EncodingError
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
-from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel
 
 HEADER = Header(10_250_000_000, "camera")
@@ -185,57 +182,11 @@ def test_status_levels(make, result, status, pose_status, level):
     assert (entry.level if isinstance(entry.level, int) else entry.level[0]) == level
 
 
-def matrix(transform) -> np.ndarray:
-    out = np.eye(4)
-    q, t = transform.rotation, transform.translation
-    out[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    out[:3, 3] = t.x, t.y, t.z
-    return out
-
-
-def homogeneous(transform) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = transform.R, transform.t
-    return out
-
-
-def tf(result, prefix="", map_frame=None) -> dict[tuple[str, str], np.ndarray]:
-    from imgu_ros.bags.messages import make_message  # pip has tf2_msgs for bags alone
-
-    message = result_tf_message(make_message, result, prefix, map_frame)
-    return {(t.header.frame_id, t.child_frame_id): matrix(t.transform) for t in message.transforms}
-
-
-def random_transform(seed: int) -> RigidTransform:
-    return RigidTransform(Rotation.random(random_state=seed).as_matrix(), np.random.default_rng(seed).normal(size=3))
-
-
 def test_tf_of_targets(result):
-    sent = tf(result, prefix="target/")
-    assert list(sent) == [("camera", "target/poster")]
-    np.testing.assert_allclose(sent["camera", "target/poster"], homogeneous(result.targets[0].pose), atol=1e-12)
-    assert result_tf_message(lambda name, /, **fields: None, rejected(result), "", None) is None
-
-
-def test_tf_places_the_robot_by_the_most_certain_target(result):
-    poster = result.targets[0]
-    vague = replace(poster.pose, covariance=poster.pose.covariance * 100)
-    second = replace(poster, name="box", index=1, pose=poster.pose)
-    both = replace(result, targets=(replace(poster, pose=vague), second))
-    map_from_target = (random_transform(1), random_transform(2))
-    camera_from_root = random_transform(3)
-    expected = homogeneous(map_from_target[1]) @ np.linalg.inv(homogeneous(poster.pose)) @ homogeneous(camera_from_root)
-    sent = tf(both, "", MapFrame("map", map_from_target, "base_link", camera_from_root))
-    assert list(sent) == [("camera", "poster"), ("camera", "box"), ("map", "base_link")]
-    np.testing.assert_allclose(sent["map", "base_link"], expected, atol=1e-12)
-    children = [child for _, child in sent]
-    assert len(children) == len(set(children)), "nobody has two parents"
-
-    # The camera itself hangs from the map when no root is named; without a known root there is no map.
-    sent = tf(both, "", MapFrame("map", map_from_target))
-    expected = homogeneous(map_from_target[1]) @ np.linalg.inv(homogeneous(poster.pose))
-    np.testing.assert_allclose(sent["map", "camera"], expected, atol=1e-12)
-    assert ("map", "base_link") not in tf(both, "", MapFrame("map", map_from_target, "base_link"))
+    (sent,) = target_transforms(result, "target/")
+    assert (sent.stamp_ns, sent.parent, sent.child) == (HEADER.stamp_ns, "camera", "target/poster")
+    np.testing.assert_array_equal(sent.parent_from_child.matrix, result.targets[0].pose.transform.matrix)
+    assert target_transforms(rejected(result), "") == []
 
 
 def test_odometry_has_the_inverse_pose(make, result):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, NotConverged, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, as_matrix
+from imgu_ros.types import Floats, Matrix3, as_matrix
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import as_rotation, exp_so3, log_so3
@@ -16,6 +16,8 @@ from imgu_ros.vision.camera.rotation import as_rotation, exp_so3, log_so3
 _MOST_ITERATIONS = 50
 #: In units of the result's standard deviations.
 _TOLERANCE = 1e-6
+#: Of the squared distances with slack from what they should be, relative.
+_CLOSE_ENOUGH = 0.05
 #: The normal distribution's 99 % quantile.
 _QUANTILE_99 = 2.3263
 
@@ -27,26 +29,30 @@ class FusedPose:
     Attributes
     ----------
     pose : the fused pose; its `rms_px` is the largest of the estimates'
-    disagreement : squared distances of the estimates from it, in units of their covariances, over their number of
-        degrees of freedom: about 1 when the covariances tell the truth, 0 for a single estimate
+    disagreement : squared distances of the estimates from the pose that fits them best, in units of their own
+        covariances, over the number of degrees of freedom: about 1 when these tell the truth, 0 for a single estimate
     """
 
     pose: Pose
     disagreement: float
 
 
-def fuse_poses(poses: Sequence[Pose]) -> FusedPose:
+def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> FusedPose:
     """Return the pose that fits independent estimates of it best, weighted by their covariances.
 
     It minimises the sum of squared residuals in units of the covariances, (t_i - t, Log(R_i R^T)), by Gauss-Newton from
     the most certain estimate (Barfoot, State Estimation for Robotics, 9.1.2, with position and rotation apart). The
-    covariance is the inverse of the summed information. Where the estimates contradict each other more than chance
-    allows (99 %), something that no covariance knows of is wrong with one of them: the covariance then grows with the
-    disagreement (Birge 1932).
+    covariance is the inverse of the summed information.
+
+    Where the estimates contradict each other more than chance allows (99 %), something that no covariance knows of is
+    wrong with them. With `slack`, which says what that can be up to a factor, each covariance gets as much of its own
+    as explains the contradiction (Paule and Mandel 1982), and the fit is made anew; without, the covariance of the
+    result grows with the disagreement (Birge 1932).
 
     Parameters
     ----------
     poses : at least one, all `dst_from_src` of the same two frames
+    slack : for each estimate a covariance (6, 6), known up to a common factor
 
     Returns
     -------
@@ -57,7 +63,7 @@ def fuse_poses(poses: Sequence[Pose]) -> FusedPose:
     TooFewPoints
         If there are none.
     ShapeError
-        If one is no rigid transform with a finite, symmetric (6, 6) covariance.
+        If one is no rigid transform with a finite, symmetric (6, 6) covariance, or there is not one slack for each.
     DegenerateConfiguration
         If a covariance is not positive definite.
     NotConverged
@@ -65,27 +71,26 @@ def fuse_poses(poses: Sequence[Pose]) -> FusedPose:
     """
     if not poses:
         raise TooFewPoints("poses: none; need at least one")
-    informations = [_information(pose, f"poses[{i}]") for i, pose in enumerate(poses)]
+    if slack is not None and len(slack) != len(poses):
+        raise ShapeError(f"slack: {len(slack)}; need {len(poses)}, one for each pose")
+    for i, pose in enumerate(poses):
+        as_rotation(pose.R, f"poses[{i}]")
+        as_matrix(pose.t, (3,), f"poses[{i}].t")
+    covariances = [_checked(pose.covariance, f"poses[{i}].covariance") for i, pose in enumerate(poses)]
     if len(poses) == 1:
         return FusedPose(poses[0], 0.0)
-    start = min(poses, key=lambda pose: float(np.trace(pose.covariance[:3, :3])))
-    R, t = start.R, start.t
-    total = np.sum(informations, axis=0)
-    covariance = _inverse(total)
-    for _ in range(_MOST_ITERATIONS):
-        residuals = [np.concatenate((pose.t - t, log_so3(pose.R @ R.T))) for pose in poses]
-        step = covariance @ sum(W @ r for W, r in zip(informations, residuals, strict=True))
-        R, t = exp_so3(step[3:]) @ R, t + step[:3]
-        if float(step @ total @ step) < _TOLERANCE**2:
-            break
-    else:
-        raise NotConverged(f"poses: no pose between {len(poses)} of them; need estimates of the same pose")
+    fit = _fit(poses, covariances)
     freedom = 6 * (len(poses) - 1)
-    squared = float(sum(r @ W @ r for W, r in zip(informations, residuals, strict=True)))
-    if squared > _chi_squared_99(freedom):
-        covariance = covariance * (squared / freedom)
-    rms_px = max(pose.rms_px for pose in poses)
-    return FusedPose(Pose(R, t, covariance, rms_px), squared / freedom)
+    disagreement = fit.squared / freedom
+    covariance = fit.covariance
+    if fit.squared > _chi_squared_99(freedom):
+        if slack is None:
+            covariance = covariance * disagreement
+        else:
+            extra = [_checked(one, f"slack[{i}]") for i, one in enumerate(slack)]
+            fit = _loosened(poses, covariances, extra, freedom)
+            covariance = fit.covariance
+    return FusedPose(Pose(fit.R, fit.t, covariance, max(pose.rms_px for pose in poses)), disagreement)
 
 
 def pose_seen_from(new_from_dst: RigidTransform, pose: Pose) -> Pose:
@@ -111,23 +116,64 @@ def pose_seen_from(new_from_dst: RigidTransform, pose: Pose) -> Pose:
     return Pose(moved.R, moved.t, turn @ covariance @ turn.T, pose.rms_px)
 
 
-def _information(pose: Pose, name: str) -> Floats:
-    as_rotation(pose.R, name)
-    as_matrix(pose.t, (3,), f"{name}.t")
-    covariance = as_matrix(pose.covariance, (6, 6), f"{name}.covariance")
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """The best pose for some covariances, its own covariance, and the squared distances of the estimates from it."""
+
+    R: Matrix3
+    t: Floats
+    covariance: Floats
+    squared: float
+
+
+def _fit(poses: Sequence[Pose], covariances: Sequence[Floats]) -> _Fit:
+    informations = [_inverse(covariance) for covariance in covariances]
+    total = np.sum(informations, axis=0)
+    inverse = _inverse(total)
+    start = min(range(len(poses)), key=lambda i: float(np.trace(covariances[i][:3, :3])))
+    R, t = poses[start].R, poses[start].t
+    for _ in range(_MOST_ITERATIONS):
+        residuals = [np.concatenate((pose.t - t, log_so3(pose.R @ R.T))) for pose in poses]
+        step = inverse @ sum(W @ r for W, r in zip(informations, residuals, strict=True))
+        R, t = exp_so3(step[3:]) @ R, t + step[:3]
+        if float(step @ total @ step) < _TOLERANCE**2:
+            squared = float(sum(r @ W @ r for W, r in zip(informations, residuals, strict=True)))
+            return _Fit(R, t, inverse, squared)
+    raise NotConverged(f"poses: no pose between {len(poses)} of them; need estimates of the same pose")
+
+
+def _loosened(poses: Sequence[Pose], covariances: Sequence[Floats], slack: Sequence[Floats], freedom: int) -> _Fit:
+    """Return the fit with as much slack as makes the squared distances what they should be on average."""
+    # Where the slack outweighs the covariances, the squared distances are in inverse proportion to it: begin there.
+    factor = _fit(poses, slack).squared / freedom
+    for _ in range(_MOST_ITERATIONS):
+        fit = _fit(poses, [own + factor * extra for own, extra in zip(covariances, slack, strict=True)])
+        ratio = fit.squared / freedom
+        if abs(ratio - 1) < _CLOSE_ENOUGH:
+            return fit
+        factor *= ratio
+    raise NotConverged(f"poses: no slack explains how far apart {len(poses)} of them are; need estimates of one pose")
+
+
+def _checked(covariance: Floats, name: str) -> Floats:
+    """Return a covariance that has an inverse."""
+    covariance = as_matrix(covariance, (6, 6), name)
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-9 * float(np.abs(covariance).max())):
-        raise ShapeError(f"{name}.covariance: not symmetric; need a covariance")
-    if np.diag(covariance).min() <= 0:
-        raise DegenerateConfiguration(f"{name}.covariance: a variance of 0 or less; need a positive definite matrix")
+        raise ShapeError(f"{name}: not symmetric; need a covariance")
+    covariance = (covariance + covariance.T) / 2
     try:
-        return _inverse((covariance + covariance.T) / 2)
+        _inverse(covariance)
     except np.linalg.LinAlgError:
-        raise DegenerateConfiguration(f"{name}.covariance: need a positive definite matrix") from None
+        raise DegenerateConfiguration(f"{name}: need a positive definite matrix") from None
+    return covariance
 
 
 def _inverse(matrix: Floats) -> Floats:
     """Return the inverse of a symmetric positive definite matrix; its units may differ by any factor."""
-    scale = 1 / np.sqrt(np.diag(matrix))
+    variances = np.diag(matrix)
+    if variances.min() <= 0:
+        raise np.linalg.LinAlgError("a variance of 0 or less")
+    scale = 1 / np.sqrt(variances)
     half = np.linalg.inv(np.linalg.cholesky(matrix * np.outer(scale, scale)))
     return np.asarray(half.T @ half * np.outer(scale, scale), np.float64)
 

@@ -34,7 +34,7 @@ def parts(rng: Generator) -> dict[str, Any]:
 
 
 CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
-    fuse_poses: lambda rng: {"poses": [pose(rng), pose(rng)]},
+    fuse_poses: lambda rng: {"poses": [pose(rng), pose(rng)], "slack": [np.eye(6), np.eye(6)]},
     pose_seen_from: lambda rng: {"new_from_dst": RigidTransform(exp_so3([0.1, 0, 0]), np.ones(3)), "pose": pose(rng)},
     fused: parts,
     seen: parts,

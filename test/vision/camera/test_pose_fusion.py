@@ -87,6 +87,24 @@ def test_contradictions_are_told_and_widen_the_covariance() -> None:
     np.testing.assert_allclose(fused.pose.covariance, agreed.pose.covariance * fused.disagreement, rtol=1e-6)
 
 
+def test_slack_explains_contradictions() -> None:
+    _, poses = estimates(5, sigma=1e-3)
+    slack = [np.diag([1.0] * 3 + [0.01] * 3)] * 3
+    agreed = fuse_poses(poses, slack)
+    np.testing.assert_array_equal(agreed.pose.covariance, fuse_poses(poses).pose.covariance)
+    shift = np.random.default_rng(1).normal(0, 0.3, (3, 3))
+    apart = [replace(pose, t=pose.t + e) for pose, e in zip(poses, shift, strict=True)]
+    fused = fuse_poses(apart, slack)
+    # Alike slack, far beyond the covariances: the mean, and its scatter.
+    np.testing.assert_allclose(fused.pose.t, np.mean([pose.t for pose in apart], axis=0), atol=0.01)
+    scatter = np.sum((shift - shift.mean(axis=0)) ** 2) / 12
+    np.testing.assert_allclose(np.diag(fused.pose.covariance)[:3], scatter / 3, rtol=0.15)
+    with pytest.raises(ShapeError, match="slack: 2; need 3"):
+        fuse_poses(poses, slack[:2])
+    with pytest.raises(DegenerateConfiguration, match=r"slack\[1\]"):
+        fuse_poses(apart, [slack[0], np.zeros((6, 6)), slack[0]])
+
+
 def test_one_is_itself_and_equals_halve_the_covariance() -> None:
     _, (pose,) = estimates(1, count=1)
     assert fuse_poses([pose]).pose is pose
