@@ -67,6 +67,8 @@ class Pairing(Generic[ImageT, InfoT]):
     ----------
     matched, unmatched : images that left with, and without, a camera_info of their own stamp; not counted when none
         is expected
+    misses_in_a_row : images without one since the last match, or since a camera_info came late for its image
+    last_image_ns, last_info_ns : the latest stamp of each topic; None before the first message
     """
 
     def __init__(self, *, expects_camera_info: bool = True, hold: int = _HOLD) -> None:
@@ -74,22 +76,22 @@ class Pairing(Generic[ImageT, InfoT]):
             raise ParameterError(f"hold: {hold}; need 0 or more")
         self.matched = 0
         self.unmatched = 0
+        self.misses_in_a_row = 0
+        self.last_image_ns: int | None = None
+        self.last_info_ns: int | None = None
         self._expects = expects_camera_info
         self._hold = hold
         self._waiting: deque[_Waiting[ImageT]] = deque()
         self._infos: OrderedDict[int, InfoT] = OrderedDict()  # by stamp, in order of arrival
         self._missed: deque[int] = deque(maxlen=_PATIENCE)  # stamps of the last images without a match
-        self._misses_in_a_row = 0
-        self._last_image_ns: int | None = None
-        self._last_info_ns: int | None = None
 
     def add_image(self, stamp_ns: int, image: ImageT) -> list[Pair[ImageT, InfoT]]:
         """Take the next image."""
         if not self._expects:
             return [Pair(stamp_ns, image, None, False)]
-        if self._last_image_ns is not None and stamp_ns < self._last_image_ns - _JUMP_NS:
+        if self.last_image_ns is not None and stamp_ns < self.last_image_ns - _JUMP_NS:
             self._forget_after(stamp_ns)
-        self._last_image_ns = stamp_ns
+        self.last_image_ns = stamp_ns
         self._waiting.append(_Waiting(stamp_ns, image))
         return self._completed(self._depth())
 
@@ -97,15 +99,15 @@ class Pairing(Generic[ImageT, InfoT]):
         """Take the next camera_info."""
         if not self._expects:
             return []
-        if self._last_info_ns is not None and stamp_ns < self._last_info_ns - _JUMP_NS:
+        if self.last_info_ns is not None and stamp_ns < self.last_info_ns - _JUMP_NS:
             self._forget_after(stamp_ns)
-        self._last_info_ns = stamp_ns
+        self.last_info_ns = stamp_ns
         self._infos.pop(stamp_ns, None)
         self._infos[stamp_ns] = camera_info
         if len(self._infos) > _KEPT_INFOS:
             self._infos.popitem(last=False)
         if stamp_ns in self._missed:
-            self._misses_in_a_row = 0
+            self.misses_in_a_row = 0
         return self._completed(self._depth())
 
     def flush(self) -> list[Pair[ImageT, InfoT]]:
@@ -113,7 +115,7 @@ class Pairing(Generic[ImageT, InfoT]):
         return self._completed(0)
 
     def _depth(self) -> int:
-        return self._hold if self._misses_in_a_row < _PATIENCE else 0
+        return self._hold if self.misses_in_a_row < _PATIENCE else 0
 
     def _completed(self, depth: int) -> list[Pair[ImageT, InfoT]]:
         """Take images from the head of the queue while each is matched, given up, or pushed out by `depth` others."""
@@ -142,10 +144,10 @@ class Pairing(Generic[ImageT, InfoT]):
     def _count(self, stamp_ns: int, matched: bool) -> None:
         if matched:
             self.matched += 1
-            self._misses_in_a_row = 0
+            self.misses_in_a_row = 0
         else:
             self.unmatched += 1
-            self._misses_in_a_row += 1
+            self.misses_in_a_row += 1
             self._missed.append(stamp_ns)
 
     def _forget_after(self, stamp_ns: int) -> None:

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+
+from rclpy.node import Node
 
 from imgu_ros.codec.diagnostics import HealthEntry, Level
 from imgu_ros.perception.result import PoseStatus, Result
+from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.input import ImageInput
+from imgu_ros.ros.input_causes import camera_info_causes, image_causes
 from imgu_ros.ros.worker import Worker
+
+#: A target may be out of view, and a calibration late, for so long.
+_PATIENCE_S = 1.5
+
+_OF_INPUT = frozenset(
+    (Kind.NO_PUBLISHER, Kind.WRONG_TYPE, Kind.QOS, Kind.LOST, Kind.SILENT, Kind.REJECTED, Kind.UNPAIRED, Kind.CLOCK)
+)
+_OF_CAMERA = frozenset((Kind.UNCALIBRATED, Kind.UNPAIRED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,76 +33,134 @@ class NodeState:
     name : fully qualified
     lifecycle : name of the state
     paused, listened : whether it is paused, and whether anybody listens to an output
-    unmatched_subscribers : listeners that cannot be served, for their QoS does not fit
+    misfits : listeners that cannot be served, for their QoS does not fit
+    stopped_clock : that the node's clock stands still; None when it runs
     """
 
     name: str
     lifecycle: str
     paused: bool
     listened: bool
-    unmatched_subscribers: int
+    misfits: tuple[Cause, ...] = ()
+    stopped_clock: Cause | None = None
 
 
-def health(state: NodeState, source: ImageInput, worker: Worker) -> list[HealthEntry]:
-    """Return the entries of /diagnostics."""
+def health(state: NodeState, found: Sequence[Cause], source: ImageInput, worker: Worker) -> list[HealthEntry]:
+    """Return the entries of /diagnostics.
+
+    Parameters
+    ----------
+    state : what the node knows about itself
+    found : why no poses come out, see `causes`
+    source, worker : their figures
+    """
     now, prefix = time.monotonic(), state.name
     return [
-        _output(f"{prefix}: output", state, source, worker, now),
-        _input(f"{prefix}: input", source, worker, now),
-        _camera(f"{prefix}: camera", worker.last),
+        _output(f"{prefix}: output", state, found, worker, now),
+        _input(f"{prefix}: input", found, source, worker, now),
+        _camera(f"{prefix}: camera", found, worker.last),
     ]
 
 
-def why_nothing(state: NodeState, source: ImageInput, worker: Worker) -> str:
-    """Return why no poses come out, the first cause on the way from the input on; empty when they do."""
+def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> list[Cause]:
+    """Return why no poses come out, the first cause on the way from the input on first; empty when they do.
+
+    They look at the graph: call it a few times a second at most.
+    """
+    now = time.monotonic()
     if state.lifecycle != "active":
-        return f"lifecycle state: {state.lifecycle}"
+        return [Cause(Kind.LIFECYCLE, f"lifecycle state: {state.lifecycle}; need active")]
     if state.paused:
-        return "paused: call ~/pause with false to go on"
+        return [Cause(Kind.PAUSED, "paused: call ~/pause with false to go on")]
+    misfits = list(state.misfits)
     if not state.listened:
-        return "idle: no subscribers"
-    silent = source.why_silent()
-    if silent:
-        return silent
+        return misfits or [Cause(Kind.IDLE, "idle: no subscribers")]
+    on_the_way = list(image_causes(node, source, now))
+    stopped = [] if state.stopped_clock is None else [state.stopped_clock]
+    if on_the_way and on_the_way[0].kind is not Kind.LOST:
+        # A player that has not begun sends neither images nor time.
+        return [*stopped, *on_the_way, *misfits]
+    return [*_of_frames(node, source, worker, now), *on_the_way, *stopped, *misfits]
+
+
+def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
     if worker.rejection:
-        return f"frame rejected: {worker.rejection}"
+        yield Cause(Kind.REJECTED, f"frame rejected: {worker.rejection}")
+        return
     if not worker.targets:
-        return "no targets: set targets.images"
+        yield Cause(Kind.NO_TARGETS, "no targets: set targets.images")
+        return
     last = worker.last
     if last is None:
-        return "waiting for the first frame"
-    return _why_no_pose(last)
+        yield Cause(Kind.WAITING, "waiting for the first frame")
+        return
+    if not any(target.status.found for target in last.targets):
+        yield from _not_seen(last, source, worker, now)
+    elif all(target.pose is None for target in last.targets) and last.frame.camera is not None:
+        first = next(target for target in last.targets if target.status.found)
+        yield Cause(Kind.NO_POSE, f"{first.name}: {_POSE_WORDS.get(first.pose_status) or first.reason}")
+    if last.frame.camera is None and source.open_s(now) > _PATIENCE_S:
+        yield from _uncalibrated(node, source, worker, now)
+    else:
+        yield from camera_info_causes(node, source, now)
 
 
-def _why_no_pose(result: Result) -> str:
-    if result.reason:
-        return f"frame rejected: {result.reason}"
-    if any(target.pose is not None for target in result.targets):
-        return ""
-    first = result.targets[0]
-    words = first.pose_status.value if first.status.found else first.status.value
-    return f"{first.name}: {words}{': ' if first.reason else ''}{first.reason}"
+def _not_seen(last: Result, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
+    sought = worker.sought
+    unseen_s = source.open_s(now) if sought.found_s is None else now - sought.found_s
+    if min(unseen_s, source.open_s(now)) < _PATIENCE_S or worker.parameters is None:
+        return
+    # Of those that are looked for, the one that came nearest.
+    most = sought.most_inliers
+    name = max(most, key=lambda key: most[key], default=last.targets[0].name)
+    reason = next(target.reason for target in last.targets if target.name == name)
+    yield Cause(
+        Kind.NOT_SEEN,
+        f"target not seen: {name}: best so far {most.get(name, 0)} inliers, "
+        f"need {worker.parameters.homography.min_inliers}; last frame: {reason}",
+    )
 
 
-def _output(name: str, state: NodeState, source: ImageInput, worker: Worker, now: float) -> HealthEntry:
-    reason = why_nothing(state, source, worker)
-    idle = state.lifecycle != "active" or state.paused or not state.listened
-    level = Level.OK if idle or not reason else Level.WARN
+def _uncalibrated(node: Node, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
+    effect = "homographies, no poses"
+    topic = source.topics.camera_info
+    if worker.last_had_info:
+        matrix = "P" if worker.parameters is not None and worker.parameters.camera.rectified else "K"
+        said = f"uncalibrated: all-zero {matrix} in camera_info on {topic}"
+        yield Cause(Kind.UNCALIBRATED, f"{said}; {effect}; calibrate the camera (imgu calibrate)")
+        return
+    for cause in camera_info_causes(node, source, now):
+        yield Cause(cause.kind, f"uncalibrated: {cause.text}; {effect}")
+
+
+_POSE_WORDS = {
+    PoseStatus.AMBIGUOUS: "ambiguous: both planar solutions fit; need a view from nearer or more from the side",
+    PoseStatus.NO_SIZE: "no size: set targets.widths_m for a metric pose",
+}
+
+
+def _output(name: str, state: NodeState, found: Sequence[Cause], worker: Worker, now: float) -> HealthEntry:
+    idle = all(cause.kind in (Kind.IDLE, Kind.PAUSED, Kind.LIFECYCLE) for cause in found)
+    level = Level.OK if idle else Level.WARN
+    reason = "; ".join(cause.text for cause in found)
     latencies = worker.latency.percentiles_ms()
     values: dict[str, object] = {
         "lifecycle_state": state.lifecycle,
         "rate_hz": worker.done.rate_hz(now),
         "frames": worker.done.count,
         **dict(zip(("latency_p50_ms", "latency_p95_ms", "latency_max_ms"), latencies, strict=False)),
-        "subscribers_with_incompatible_qos": state.unmatched_subscribers,
+        "subscribers_with_incompatible_qos": len(state.misfits),
+        "causes": " ".join(cause.kind for cause in found),
     }
+    ages = worker.age.percentiles_ms()
+    values |= dict(zip(("age_p50_ms", "age_p95_ms", "age_max_ms"), ages, strict=False))
     if worker.last is not None:
         values |= {f"target.{target.name}": target.status.value for target in worker.last.targets}
         values |= {f"time.{stage.value}_ms": ns / 1e6 for stage, ns in (worker.last.times_ns or {}).items()}
     return HealthEntry(name, level, reason or "poses come out", values)
 
 
-def _input(name: str, source: ImageInput, worker: Worker, now: float) -> HealthEntry:
+def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker, now: float) -> HealthEntry:
     counters = source.counters
     values: dict[str, object] = {
         "image_topic": source.topics.image,
@@ -100,21 +171,23 @@ def _input(name: str, source: ImageInput, worker: Worker, now: float) -> HealthE
         "skipped": source.slot.skipped,
         "rejected": worker.rejected,
         "unknown_encodings": worker.unknown_encodings,
+        "camera_info_rate_hz": source.infos.rate_hz(now),
         "unmatched_camera_info": source.unmatched,
         "publishers_with_incompatible_qos": counters.incompatible,
     }
     if not source.is_open:
         return HealthEntry(name, Level.OK, "not subscribed", values)
-    reason = source.why_silent() or worker.rejection
+    reason = "; ".join(cause.text for cause in found if cause.kind in _OF_INPUT)
     return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "images come in", values)
 
 
-def _camera(name: str, last: Result | None) -> HealthEntry:
+def _camera(name: str, found: Sequence[Cause], last: Result | None) -> HealthEntry:
     if last is None:
         return HealthEntry(name, Level.OK, "no frame yet", {})
+    reason = "; ".join(cause.text for cause in found if cause.kind in _OF_CAMERA)
     camera = last.frame.camera
     if camera is None:
-        return HealthEntry(name, Level.WARN, f"{PoseStatus.UNCALIBRATED}: no camera_info, or K is all zero", {})
+        return HealthEntry(name, Level.WARN, reason or "uncalibrated: no camera_info, or K is all zero", {})
     values: dict[str, object] = {
         "frame_id": last.frame.frame_id,
         "size": f"{camera.width} x {camera.height}",
@@ -124,4 +197,4 @@ def _camera(name: str, last: Result | None) -> HealthEntry:
         "cy": float(camera.K[1, 2]),
         "distortion_model": str(camera.model),
     }
-    return HealthEntry(name, Level.OK, "calibrated", values)
+    return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "calibrated", values)

@@ -1,4 +1,4 @@
-"""Image input of a node: subscriptions, pairing with camera_info, and why nothing comes."""
+"""Image input of a node: subscriptions, and pairing with camera_info."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.middleware import large_message_warnings
 from imgu_ros.ros.newest import NewestSlot
+from imgu_ros.ros.offers import Wanted
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, image_qos, overridable, override_names
 
 #: An image whose camera_info has not come by then goes without: where somebody publishes camera_info, and where nobody.
 _PATIENCE_S = 1.0
 _SHORT_PATIENCE_S = 0.3
-#: Without images for this long, something is wrong.
-_SILENCE_S = 5.0
 
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _IMAGE_TYPES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/CompressedImage"}
@@ -40,11 +39,12 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class InputTopics:
-    """Resolved topic names and the image's type."""
+    """Resolved topic names, the image's type, and what is to be remapped for another image topic."""
 
     image: str
     camera_info: str
     image_type: str
+    image_remap: str = "image_raw"
 
 
 class ImageInput:
@@ -60,7 +60,7 @@ class ImageInput:
     Attributes
     ----------
     slot : where the worker takes from
-    arrivals : images delivered
+    arrivals, infos : images and camera_info delivered
     counters : lost messages and incompatible QoS
     topics : what is subscribed
     group : of the subscriptions' callbacks
@@ -69,6 +69,7 @@ class ImageInput:
     def __init__(self, node: Node, transport: str) -> None:
         self.slot: NewestSlot[Job] = NewestSlot()
         self.arrivals = RateMeter()
+        self.infos = RateMeter()
         self.counters = QosCounters()
         self.topics = input_topics(node, transport)
         self.group = MutuallyExclusiveCallbackGroup()
@@ -96,6 +97,11 @@ class ImageInput:
     def unmatched(self) -> int:
         """Images that left without a camera_info of their own stamp."""
         return self._unmatched_before + self._pairing.unmatched
+
+    @property
+    def pairing(self) -> Pairing[Job, Any]:
+        """The pairs made since the topics were subscribed last."""
+        return self._pairing
 
     def qos_override_names(self) -> list[str]:
         """Return the parameters that override the QoS of the inputs."""
@@ -148,29 +154,21 @@ class ImageInput:
             self._hand_over(self._pairing.flush())
         self._was_overdue = overdue
 
-    def why_silent(self) -> str:
-        """Return why no image comes; empty when images come or may still do."""
-        if self._image is None:
-            return ""
-        now = time.monotonic()
-        silent_s = now - max(self._opened_s, self._last_s)
-        if silent_s < 1.0:
-            return ""
-        topic = self.topics.image
-        offered = self._node.get_publishers_info_by_topic(topic)
-        if not offered:
-            return f"no publisher on {topic}"
-        types = {endpoint.topic_type for endpoint in offered}
-        if self.topics.image_type not in types:
-            return f"only {', '.join(sorted(types))} on {topic}; need {self.topics.image_type}"
-        if self._image.get_publisher_count() == 0 and self.counters.incompatible:
-            return f"only publishers with incompatible QoS on {topic} ({', '.join(self.counters.policies)})"
-        if silent_s < _SILENCE_S:
-            return ""
-        lost = self.counters.lost
-        # Frames far too large for the shared memory never arrive, so nothing else would tell their size.
-        why = f": {lost} lost on the way; large ones need the DDS profile in every process" if lost else ""
-        return f"no images on {topic} for {silent_s:.0f} s{why}"
+    def open_s(self, now_s: float) -> float:
+        """Return for how long the topics have been subscribed; 0 while they are not."""
+        return now_s - self._opened_s if self.is_open else 0.0
+
+    def silent_s(self, now_s: float) -> float:
+        """Return for how long no image has come although the topics are subscribed."""
+        return now_s - max(self._opened_s, self._last_s) if self.is_open else 0.0
+
+    def wanted_images(self) -> Wanted:
+        """Return what the image subscription asks for; RuntimeError while there is none."""
+        return _wanted(self._image, self.topics.image, self.topics.image_type, self.topics.image_remap)
+
+    def wanted_camera_info(self) -> Wanted:
+        """Return what the camera_info subscription asks for; RuntimeError while there is none."""
+        return _wanted(self._camera_info, self.topics.camera_info, CAMERA_INFO_TYPE, "camera_info")
 
     def _on_image(self, message: Any) -> None:
         now = time.monotonic()
@@ -184,6 +182,7 @@ class ImageInput:
         self._hand_over(self._pairing.add_image(stamp_ns, Job(message, None, now)))
 
     def _on_camera_info(self, message: Any) -> None:
+        self.infos.tick(time.monotonic())
         self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
 
     def _hand_over(self, pairs: list[Pair[Job, Any]]) -> None:
@@ -199,12 +198,19 @@ def input_topics(node: Node, transport: str) -> InputTopics:
     image_transport, unless that is remapped itself.
     """
     base = node.resolve_topic_name("image_raw")
-    image = base
+    image, remap = base, "image_raw"
     if transport == "compressed":
         own = node.resolve_topic_name("image_raw/compressed")
         unmapped = node.resolve_topic_name("image_raw/compressed", only_expand=True)
         image = own if own != unmapped else f"{base}/compressed"
+        remap = "image_raw/compressed"
     camera_info = node.resolve_topic_name("camera_info")
     if camera_info == node.resolve_topic_name("camera_info", only_expand=True):
         camera_info = base.rpartition("/")[0] + "/camera_info"
-    return InputTopics(image, camera_info, _IMAGE_TYPES[transport])
+    return InputTopics(image, camera_info, _IMAGE_TYPES[transport], remap)
+
+
+def _wanted(subscription: Subscription | None, topic: str, type_name: str, remapped: str) -> Wanted:
+    if subscription is None:
+        raise RuntimeError(f"{topic}: not subscribed")
+    return Wanted(topic, type_name, subscription.qos_profile, remapped)

@@ -7,6 +7,9 @@ from collections import deque
 
 import numpy as np
 
+#: A window keeps no more of the events that came at once.
+_MOST_AT_ONCE = 1000
+
 
 class RateMeter:
     """Counts events, and their rate over a sliding window. Thread-safe.
@@ -27,12 +30,18 @@ class RateMeter:
         """Events since the start."""
         return self._count
 
-    def tick(self, now_s: float) -> None:
-        """Count an event at `now_s` (monotonic)."""
+    def tick(self, now_s: float, events: int = 1) -> None:
+        """Count an event, or several at once, at `now_s` (monotonic)."""
         with self._lock:
-            self._count += 1
-            self._times.append(now_s)
+            self._count += events
+            self._times.extend([now_s] * min(events, _MOST_AT_ONCE))
             self._forget(now_s)
+
+    def recent(self, now_s: float) -> int:
+        """Return how many events lie in the window that ends at `now_s`."""
+        with self._lock:
+            self._forget(now_s)
+            return len(self._times)
 
     def rate_hz(self, now_s: float) -> float:
         """Return events per second in the window that ends at `now_s`; 0 with fewer than two."""

@@ -60,14 +60,19 @@ def large_message_warnings(message_bytes: int) -> list[str]:
     if message_bytes <= LARGE_BYTES or not _is_fast_dds():
         return []
     size = f"{message_bytes / 1e6:.1f} MB"
-    if not any(os.environ.get(name) for name in _VARIABLES):
-        fix = f"in every process set {PROFILE_VARIABLE}={profile_path()}"
-        return [f"images of {size} and no DDS profile: the default shared memory of 512 KB loses frames; {fix}"]
-    memory = shared_memory()
-    if memory is not None and memory.total < 2 * SEGMENT_BYTES:
-        need = f"the DDS profile takes {SEGMENT_BYTES / 1e6:.0f} MB for each process (Docker: --shm-size=512m)"
-        return [f"{_SHARED_MEMORY} has {memory.total / 1e6:.0f} MB; {need}"]
-    return []
+    if not _has_profile():
+        return [f"images of {size} and no DDS profile: the default shared memory of 512 KB loses frames; {_turn_on()}"]
+    small = _too_little_memory()
+    return [small] if small else []
+
+
+def against_loss() -> str:
+    """Return what to do when messages are lost on the way to this process."""
+    if not _is_fast_dds():
+        return "give the middleware larger buffers, or send smaller images"
+    if not _has_profile():
+        return f"images larger than the shared memory of 512 KB get lost; {_turn_on()}"
+    return _too_little_memory() or "this process has a DDS profile; set the same one in the camera's process too"
 
 
 def shared_memory() -> SharedMemory | None:
@@ -77,6 +82,22 @@ def shared_memory() -> SharedMemory | None:
     except OSError:
         return None
     return SharedMemory(figures.f_blocks * figures.f_frsize, figures.f_bavail * figures.f_frsize)
+
+
+def _has_profile() -> bool:
+    return any(os.environ.get(name) for name in _VARIABLES)
+
+
+def _turn_on() -> str:
+    return f"in every process, the camera's too, set {PROFILE_VARIABLE}={profile_path()}"
+
+
+def _too_little_memory() -> str:
+    memory = shared_memory()
+    if memory is None or memory.total >= 2 * SEGMENT_BYTES:
+        return ""
+    need = f"the DDS profile takes {SEGMENT_BYTES / 1e6:.0f} MB for each process (Docker: --shm-size=512m)"
+    return f"{_SHARED_MEMORY} has {memory.total / 1e6:.0f} MB; {need}"
 
 
 def _is_fast_dds() -> bool:

@@ -11,24 +11,23 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-from imgu_ros.codec.diagnostics import diagnostics_message
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage
-from imgu_ros.ros.diagnostics import NodeState, health
+from imgu_ros.ros.cause import Cause
+from imgu_ros.ros.diagnostics import NodeState
+from imgu_ros.ros.explaining import Explainer
 from imgu_ros.ros.input import ImageInput, Job
-from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.offers import why_not_served
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.parameter_sections import files_without_section
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.process import run_node
-from imgu_ros.ros.qos import no_events, output_qos
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.worker import Handlers, Worker
 
 _WATCH_S = 0.1
-_DIAGNOSTICS_S = 1.0
 _THROTTLE_S = 5.0
 
 
@@ -79,14 +78,8 @@ class PerceptionNode(LifecycleNode):
                 needs_keypoints=self._needs_keypoints,
             ),
         )
-        self._diagnostics = self.create_publisher(
-            message_class("diagnostic_msgs/msg/DiagnosticArray"),
-            "/diagnostics",
-            output_qos(10),
-            event_callbacks=no_events(),
-        )
+        self._explainer = Explainer(self, self._input, self._worker, self._state)
         self.create_timer(_WATCH_S, self._watch, clock=self._steady)
-        self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/reload", self._on_reload)
         self.create_service(Trigger, "~/set_target_from_view", self._on_set_target_from_view)
@@ -135,6 +128,7 @@ class PerceptionNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to look for listeners."""
         self._lifecycle = "active"
+        self._explainer.begin()
         names = ", ".join(target.name for target in self._worker.targets) or "none (set targets.images)"
         self.get_logger().info(f"targets: {names}; images from {self._input.topics.image} when somebody listens")
         self._watch()
@@ -180,10 +174,11 @@ class PerceptionNode(LifecycleNode):
         parameters = self._server.parameters
         if self._outputs is not None and self._outputs.serves(names, parameters):
             return
-        if self._outputs is not None:
-            self._outputs.destroy()
-            self._outputs = None
-        self._outputs = Outputs(self, names, parameters)
+        if self._outputs is None:
+            self._outputs = Outputs(self, names, parameters)
+        else:
+            # Topics that stay keep their listeners.
+            self._outputs.adapt(names, parameters)
         possible = self._outputs.qos_override_names() + self._input.qos_override_names()
         self._server.check_qos_overrides(dict.fromkeys(possible))
 
@@ -191,6 +186,7 @@ class PerceptionNode(LifecycleNode):
         """Subscribe when somebody listens, and only then; follow parameters that change the publishers."""
         if self._outputs is None:
             return
+        self._worker.follow()
         names = [target.name for target in self._worker.targets]
         if not self._outputs.serves(names, self._server.parameters):
             try:
@@ -206,14 +202,14 @@ class PerceptionNode(LifecycleNode):
         else:
             self._input.close()
 
-    def _on_result(self, result: Result, job: Job) -> None:
+    def _on_result(self, result: Result, _: Job) -> None:
         if self._outputs is not None:
             self._outputs.publish(result)
         if result.reason:
             self._log_rejected(result.reason)
-        if result.frame.camera is None:
-            what = "no camera_info" if job.camera_info is None else "all-zero K in camera_info"
-            self._warn_once(what, f"uncalibrated: {what} on {self._input.topics.camera_info}; homographies, no poses")
+        now_ns = self.get_clock().now().nanoseconds
+        if now_ns:
+            self._worker.age.add((now_ns - result.frame.stamp_ns) / 1e9)
 
     def _on_rejected(self, result: Result) -> None:
         self._log_rejected(result.reason)
@@ -241,19 +237,17 @@ class PerceptionNode(LifecycleNode):
             self._warned.add(key)
             self.get_logger().warning(line)
 
-    def _publish_diagnostics(self) -> None:
-        if not self._diagnostics.get_subscription_count():
-            return
+    def _state(self, stopped_clock: Cause | None) -> NodeState:
         outputs = self._outputs
-        state = NodeState(
+        misfits = why_not_served(self, self.publishers) if outputs is not None and outputs.unmatched() else []
+        return NodeState(
             name=self.get_fully_qualified_name(),
             lifecycle=self._lifecycle,
             paused=self._paused,
             listened=outputs is not None and outputs.wanted(),
-            unmatched_subscribers=0 if outputs is None else outputs.unmatched(),
+            misfits=tuple(misfits),
+            stopped_clock=stopped_clock,
         )
-        entries = health(state, self._input, self._worker)
-        self._diagnostics.publish(diagnostics_message(make_message, self.get_clock().now().nanoseconds, entries))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         return self._answer(response, self._reset)
@@ -279,7 +273,10 @@ class PerceptionNode(LifecycleNode):
 
     def _reset(self) -> str:
         self._worker.reset()
-        return "all tracks forgotten"
+        with self._worker.between_frames():
+            if self._outputs is not None:
+                self._outputs.reset()
+        return "all tracks and paths forgotten"
 
     def _reload(self) -> str:
         self._require_configured()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -16,6 +17,8 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from imgu_ros.ros.meters import RateMeter
+
 #: Policies that `qos_overrides.<topic>.<publisher|subscription>.<policy>` can set.
 OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 
@@ -25,14 +28,18 @@ class QosCounters:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._lost = 0
+        self._losses = RateMeter()
         self._incompatible = 0
         self._policies: set[str] = set()
 
     @property
     def lost(self) -> int:
         """Messages that were published and never delivered."""
-        return self._lost
+        return self._losses.count
+
+    def lost_lately(self, now_s: float) -> int:
+        """Return how many were lost in the last seconds, as many as a `RateMeter` looks back."""
+        return self._losses.recent(now_s)
 
     @property
     def incompatible(self) -> int:
@@ -50,8 +57,7 @@ class QosCounters:
         return SubscriptionEventCallbacks(message_lost=self._on_lost, incompatible_qos=self._on_incompatible)
 
     def _on_lost(self, event: Any) -> None:
-        with self._lock:
-            self._lost += event.total_count_change
+        self._losses.tick(time.monotonic(), event.total_count_change)
 
     def _on_incompatible(self, event: Any) -> None:
         with self._lock:

@@ -99,7 +99,9 @@ class _GroupExecutor(SingleThreadedExecutor):
 class _Part:
     """What an executor asks a node for, as far as it is of one callback group."""
 
-    timers = clients = services = guards = ()
+    # Not the subscriptions' events either: an executor knows them by their place among those that it waits for, and
+    # the other executor waits for more. They come soon enough with the rest.
+    timers = clients = services = guards = waitables = ()
 
     def __init__(self, node: Node, group: CallbackGroup) -> None:
         self._node = node
@@ -108,7 +110,3 @@ class _Part:
     @property
     def subscriptions(self) -> list[Any]:
         return [one for one in self._node.subscriptions if one.callback_group is self._group]
-
-    @property
-    def waitables(self) -> list[Any]:
-        return [one for one in self._node.waitables if one.callback_group is self._group]

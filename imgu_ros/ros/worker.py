@@ -5,22 +5,22 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.errors import EncodingError, ImguError
+from imgu_ros.errors import EncodingError
 from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status, TargetResult
-from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.perception.targets import Target, TargetImage
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.meters import LatencyMeter, RateMeter
 from imgu_ros.ros.newest import NewestSlot
+from imgu_ros.ros.rebuilding import Built, Rebuilder, build
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 
@@ -42,32 +42,69 @@ class Handlers:
     needs_keypoints: Callable[[], bool]
 
 
+class Sought:
+    """What was looked for in vain: how near it came to being found."""
+
+    def __init__(self) -> None:
+        self._found_s: float | None = None
+        self._most: dict[str, int] = {}
+
+    @property
+    def found_s(self) -> float | None:
+        """When a target was seen last (monotonic); None: never yet."""
+        return self._found_s
+
+    @property
+    def most_inliers(self) -> Mapping[str, int]:
+        """The most inliers of each target since it was seen last."""
+        return self._most
+
+    def add(self, result: Result, now_s: float) -> None:
+        """Take what became of the targets in one more frame."""
+        most = dict(self._most)
+        for target in result.targets:
+            if target.status.found:
+                self._found_s = now_s
+                most.pop(target.name, None)
+            else:
+                most[target.name] = max(most.get(target.name, 0), target.most_inliers)
+        self._most = most
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._found_s, self._most = None, {}
+
+
 class Worker:
     """Owns the chain. Its public methods may be called from any thread.
 
     Parameters
     ----------
     slot : where frames come from
-    parameters : gives the parameters in force; a new object means that the chain is to be rebuilt
+    parameters : gives the parameters in force; when they change, the chain goes on with the old ones until `follow`
+        has had another one made
     handlers : where results go
 
     Attributes
     ----------
     done : frames that went through the chain
     latency : from the delivery of an image to the end of publishing its results
+    age : from an image's stamp to its results, by the node's clock
+    sought : what was looked for in vain
     """
 
     def __init__(self, slot: NewestSlot[Job], parameters: Callable[[], Parameters], handlers: Handlers) -> None:
         self.done = RateMeter()
         self.latency = LatencyMeter()
+        self.age = LatencyMeter()
+        self.sought = Sought()
         self._slot = slot
         self._parameters = parameters
         self._handlers = handlers
         self._lock = threading.RLock()
-        self._images: tuple[TargetImage, ...] = ()
-        self._targets: tuple[Target, ...] = ()
-        self._used: Parameters | None = None
-        self._chain: Chain | None = None
+        self._built: Built | None = None
+        self._rebuilder = Rebuilder(handlers.failed)
+        self._last_had_info = False
         self._last: Result | None = None
         self._rejected = 0
         self._unknown_encodings = 0
@@ -97,9 +134,21 @@ class Worker:
         return self._last
 
     @property
+    def last_had_info(self) -> bool:
+        """Whether the last frame came with a camera_info, whatever that said."""
+        return self._last_had_info
+
+    @property
     def targets(self) -> tuple[Target, ...]:
         """What is looked for."""
-        return self._targets
+        built = self._built
+        return () if built is None else built.targets
+
+    @property
+    def parameters(self) -> Parameters | None:
+        """The parameters that frames are worked on with; None before `use`."""
+        built = self._built
+        return None if built is None else built.parameters
 
     def use(self, images: Sequence[TargetImage]) -> tuple[Target, ...]:
         """Look for these targets from the next frame on, with the parameters in force, and forget all tracks.
@@ -109,28 +158,34 @@ class Worker:
         ImguError
             If an image cannot serve as a target; then nothing changes.
         """
-        parameters = self._parameters()
-        targets = prepare_targets(images, parameters)
-        chain = Chain(parameters, targets)
-        # Now, before frames come: later the first thorough search would hold them up.
-        chain.prepare()
+        built = build(images, self._parameters())
         with self._lock:
-            self._images, self._targets, self._used = tuple(images), targets, parameters
-            self._chain = chain
+            self._rebuilder.forget()
+            self._built = built
             self._last = None
-        return targets
+            self.sought.clear()
+        return built.targets
+
+    def follow(self) -> None:
+        """Have the chain made anew when the parameters have changed; to be called a few times a second."""
+        built, parameters = self._built, self._parameters()
+        if built is not None and parameters is not built.parameters:
+            self._rebuilder.ask(built, parameters)
 
     def reset(self) -> None:
         """Forget all tracks."""
         with self._lock:
-            if self._chain is not None:
-                self._chain.reset()
+            self._take_over()
+            if self._built is not None:
+                self._built.chain.reset()
+            self.sought.clear()
 
     def drop(self) -> None:
         """Forget chain, targets and results; frames are ignored until `use`."""
         with self._lock:
-            self._chain, self._used, self._last = None, None, None
-            self._images, self._targets = (), ()
+            self._rebuilder.forget()
+            self._built = self._last = None
+            self.sought.clear()
 
     @contextlib.contextmanager
     def between_frames(self) -> Iterator[None]:
@@ -142,8 +197,9 @@ class Worker:
         """End the thread; return whether it has ended in time. It hands nothing out any more in any case."""
         self._closing = True
         self._slot.close()
+        rebuilt = self._rebuilder.close(timeout_s)
         self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        return rebuilt and not self._thread.is_alive()
 
     def _run(self) -> None:
         while (job := self._slot.take()) is not None:
@@ -156,20 +212,24 @@ class Worker:
                     self._handlers.failed(f"frame: {type(error).__name__}: {' '.join(str(error).split())}")
 
     def _work(self, job: Job) -> None:
-        self._follow_parameters()
-        if self._chain is None or self._used is None:
+        self._take_over()
+        if self._built is None:
             return
+        chain, parameters = self._built.chain, self._built.parameters
         try:
-            frame = decode_frame(job.image, job.camera_info, rectified=self._used.camera.rectified)
+            frame = decode_frame(job.image, job.camera_info, rectified=parameters.camera.rectified)
         except EncodingError as error:
             self._rejected += 1
             self._unknown_encodings += str(error).startswith("encoding:")
             self._rejection = str(error)
             self._handlers.rejected(self._rejected_result(decode_header(job.image), str(error)))
             return
-        self._rejection = ""
-        result = self._chain.process(frame, with_keypoints=self._handlers.needs_keypoints())
-        self._last = result
+        result = chain.process(frame, with_keypoints=self._handlers.needs_keypoints())
+        self._rejection = result.reason
+        self._rejected += bool(result.reason)
+        self._last, self._last_had_info = result, job.camera_info is not None
+        now = time.monotonic()
+        self.sought.add(result, now)
         if self._closing:
             return
         self._handlers.result(result, job)
@@ -177,21 +237,15 @@ class Worker:
         self.done.tick(now)
         self.latency.add(now - job.received_s)
 
-    def _follow_parameters(self) -> None:
-        parameters = self._parameters()
-        if self._chain is None or parameters is self._used:
-            return
-        self._used = parameters
-        try:
-            targets = prepare_targets(self._images, parameters)
-            self._chain = Chain(parameters, targets)
-            self._targets = targets
-        except ImguError as error:
-            self._handlers.failed(f"parameters: {error}; the chain goes on with the old ones")
+    def _take_over(self) -> None:
+        """Go on with the chain that was made for changed parameters, if one was."""
+        built = self._rebuilder.take()
+        if built is not None and self._built is not None and built.images is self._built.images:
+            self._built = built
 
     def _rejected_result(self, header: Header, reason: str) -> Result:
         frame = Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, None)
-        targets = tuple(TargetResult(t.name, i, Status.REJECTED, reason=reason) for i, t in enumerate(self._targets))
+        targets = tuple(TargetResult(t.name, i, Status.REJECTED, reason=reason) for i, t in enumerate(self.targets))
         return Result(frame, targets, reason=reason)
 
 

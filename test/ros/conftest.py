@@ -12,9 +12,11 @@ import time
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 with warnings.catch_warnings():
@@ -160,6 +162,98 @@ class Peer:
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
+
+
+@dataclass(frozen=True)
+class World:
+    """A short sequence with its target on disk, and what the chain makes of it offline."""
+
+    target: Path
+    frames: tuple[Any, ...]
+    results: tuple[Any, ...]
+
+    @property
+    def arguments(self) -> list[str]:
+        return ["-p", f"targets.images:=[{self.target}]", "-p", "targets.widths_m:=[0.5]"]
+
+
+class Camera:
+    """Publishes frames as a driver does: sensor-data QoS, an image and its camera_info."""
+
+    def __init__(self, peer: Peer, base: str = "/cam") -> None:
+        from imgu_ros.ros.qos import image_qos
+
+        self._peer = peer
+        self._image = peer.publisher(f"{base}/image_raw", "sensor_msgs/msg/Image", image_qos())
+        self._info = peer.publisher(f"{base}/camera_info", "sensor_msgs/msg/CameraInfo", image_qos())
+
+    def wait_for_node(self) -> None:
+        both = (self._image, self._info)
+        self._peer.wait(lambda: all(p.get_subscription_count() for p in both), "the node's subscriptions")
+        self._peer.wait(self._peer.has_publishers, "the node's outputs")
+        self._peer.spin(0.5)
+
+    @property
+    def is_subscribed(self) -> bool:
+        return bool(self._image.get_subscription_count())
+
+    def send(self, frame: Any, encoding: str = "bayer_rggb8", K_zero: bool = False, **changes: Any) -> None:
+        """Send a frame; `changes` are fields of the image message that lie."""
+        self.send_info(frame, frame.stamp_ns, **({"k": np.zeros(9)} if K_zero else {}))
+        self.send_image(frame, encoding=encoding, **changes)
+
+    def send_image(self, frame: Any, **changes: Any) -> None:
+        from imgu_ros.codec.header import Header
+        from imgu_ros.codec.image import image_message
+        from imgu_ros.ros.messages import make_message
+
+        image = image_message(make_message, Header(frame.stamp_ns, frame.frame_id), frame.image.pixels, "bayer_rggb8")
+        for name, value in changes.items():
+            setattr(image, name, value)
+        self._image.publish(image)
+
+    def send_info(self, frame: Any, stamp_ns: int, **changes: Any) -> None:
+        from imgu_ros.codec.camera_info import camera_info_message
+        from imgu_ros.codec.header import Header
+        from imgu_ros.ros.messages import make_message
+
+        info = camera_info_message(make_message, Header(stamp_ns, frame.frame_id), frame.camera)
+        for name, value in changes.items():
+            setattr(info, name, value)
+        self._info.publish(info)
+
+    def close(self) -> None:
+        """End as a driver that is killed: its publishers are gone."""
+        self._peer.node.destroy_publisher(self._image)
+        self._peer.node.destroy_publisher(self._info)
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory: pytest.TempPathFactory) -> World:
+    """Four frames of a target half a metre wide."""
+    import cv2
+
+    from imgu_ros.parameter_values import parameters_from
+    from imgu_ros.perception.chain import Chain
+    from imgu_ros.perception.targets import TargetImage, prepare_targets
+    from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
+
+    path = tmp_path_factory.mktemp("world") / "poster.png"
+    target = default_targets(1, seed=3, width_m=0.5)[0]
+    cv2.imwrite(str(path), target.pixels[:, :, ::-1])
+    simulation = Simulation(width=480, height=360, frames=4, seed=3)
+    frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [target]))
+    parameters = parameters_from({"targets.images": [str(path)], "targets.widths_m": [0.5]})
+    chain = Chain(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    results = tuple(chain.process(frame) for frame in frames)
+    assert all(result.targets[0].pose is not None for result in results)
+    return World(path, frames, results)
+
+
+@pytest.fixture
+def make_camera() -> type[Camera]:
+    """Makes cameras on a peer."""
+    return Camera
 
 
 @pytest.fixture(scope="session")

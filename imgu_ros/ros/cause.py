@@ -1,0 +1,68 @@
+"""Why nothing comes out of a node: one cause, its words, and which causes the log has heard of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+#: A cause that was gone for so long is news when it comes back.
+_FORGOTTEN_S = 60.0
+
+
+class Kind(StrEnum):
+    """What keeps poses from coming out, in the order in which it is looked for."""
+
+    LIFECYCLE = "lifecycle"  #: the node is not active
+    PAUSED = "paused"
+    LISTENER = "listener"  #: somebody listens with a quality of service that no output fits
+    IDLE = "idle"  #: nobody listens
+    CLOCK = "clock"  #: use_sim_time, and /clock stands still
+    NO_PUBLISHER = "no_publisher"
+    WRONG_TYPE = "wrong_type"
+    QOS = "qos"  #: the input's publishers offer less than is asked for
+    LOST = "lost"  #: images are lost on the way
+    SILENT = "silent"  #: a publisher, and no images
+    REJECTED = "rejected"  #: images come and cannot be read
+    NO_TARGETS = "no_targets"
+    WAITING = "waiting"  #: for the first frame
+    UNCALIBRATED = "uncalibrated"
+    UNPAIRED = "unpaired"  #: no camera_info has an image's stamp
+    NOT_SEEN = "not_seen"
+    NO_POSE = "no_pose"  #: a target is seen, and its pose is ambiguous or its size unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why nothing comes out: what it is, and one line of words with what to do."""
+
+    kind: Kind
+    text: str
+
+
+#: What every node does for a while, or was asked to do: nobody needs to read of it.
+_NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED))
+
+
+class CauseLog:
+    """Tells which causes are new, so that the log has each of them once.
+
+    A cause is told again when it comes back after a minute without it.
+    """
+
+    def __init__(self) -> None:
+        self._seen_s: dict[Kind, float] = {}
+
+    def news(self, causes: Iterable[Cause], now_s: float) -> Iterator[Cause]:
+        """Yield the causes that the log has not heard of; `now_s` is monotonic."""
+        for cause in causes:
+            if cause.kind in _NOT_LOGGED:
+                continue
+            last_s = self._seen_s.get(cause.kind)
+            self._seen_s[cause.kind] = now_s
+            if last_s is None or now_s - last_s > _FORGOTTEN_S:
+                yield cause
+
+    def clear(self) -> None:
+        """Forget what was told: the node begins anew."""
+        self._seen_s.clear()

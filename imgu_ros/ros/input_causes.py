@@ -1,0 +1,77 @@
+"""Why an image input gives nothing, or less than it should."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rclpy.node import Node
+
+from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.input import ImageInput
+from imgu_ros.ros.middleware import against_loss
+from imgu_ros.ros.offers import why_not_offered
+
+#: Nodes on one machine find each other within this time.
+_DISCOVERY_S = 1.0
+#: Without images for this long, or for so many times their usual interval, something is wrong.
+_SILENCE_S = 1.5
+_INTERVALS = 4
+#: The share of images that may be lost on the way without a word.
+_LOSS = 0.1
+_FEWEST_LOST = 5
+#: So many images in a row without a camera_info of their stamp are no accident.
+_UNPAIRED = 5
+_SECOND_NS = 1e9
+
+
+def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
+    """Yield why no image comes, or why too few do; nothing while the input is not subscribed or may still begin."""
+    silent_s = source.silent_s(now_s)
+    if silent_s >= _DISCOVERY_S:
+        cause = why_not_offered(node, source.wanted_images())
+        if cause is not None:
+            yield cause
+            return
+    lost = source.counters.lost_lately(now_s)
+    if silent_s >= max(_SILENCE_S, _usual_silence_s(source, now_s)):
+        yield _silence(source, silent_s, lost, now_s)
+    elif lost >= _FEWEST_LOST and lost > _LOSS * (lost + source.arrivals.recent(now_s)):
+        came = source.arrivals.recent(now_s)
+        share = f"{lost} of the last {lost + came} images on {source.topics.image}"
+        yield Cause(Kind.LOST, f"{share} got lost on the way; {against_loss()}")
+
+
+def camera_info_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
+    """Yield why images have no camera_info, or not their own."""
+    if source.open_s(now_s) < _DISCOVERY_S or not source.arrivals.recent(now_s):
+        return
+    topic, pairing = source.topics.camera_info, source.pairing
+    if pairing.last_info_ns is None:
+        cause = why_not_offered(node, source.wanted_camera_info())
+        text = cause.text if cause is not None else f"nothing comes on {topic}, although it has a publisher"
+        yield Cause(Kind.UNCALIBRATED, f"no camera_info on {topic}: {text}")
+    elif pairing.misses_in_a_row >= _UNPAIRED and source.infos.recent(now_s) > 1:
+        image_s, info_s = (pairing.last_image_ns or 0) / _SECOND_NS, pairing.last_info_ns / _SECOND_NS
+        yield Cause(
+            Kind.UNPAIRED,
+            f"stamps of {topic} and {source.topics.image} do not pair ({pairing.misses_in_a_row} images in a row; "
+            f"latest {info_s:.3f} s and {image_s:.3f} s): the nearest camera_info is used; need equal stamps",
+        )
+
+
+def _usual_silence_s(source: ImageInput, now_s: float) -> float:
+    """Return how long it may take until the next image comes, by those that came lately."""
+    rate_hz = source.arrivals.rate_hz(now_s)
+    return _INTERVALS / rate_hz if rate_hz else 0.0
+
+
+def _silence(source: ImageInput, silent_s: float, lost: int, now_s: float) -> Cause:
+    said = f"no images on {source.topics.image} for {silent_s:.0f} s"
+    # Images far too large for the shared memory never arrive, so that nothing else tells their size.
+    if lost:
+        return Cause(Kind.LOST, f"{said}: {lost} got lost on the way; {against_loss()}")
+    infos_hz = source.infos.rate_hz(now_s)
+    if infos_hz:
+        there = f"{source.topics.camera_info} comes at {infos_hz:.0f} Hz"
+        return Cause(Kind.LOST, f"{said}, while {there}: they may get lost on the way; {against_loss()}")
+    return Cause(Kind.SILENT, f"{said}, although it has a publisher: does the camera run?")

@@ -1,0 +1,143 @@
+"""Makes the chain for changed parameters beside the one that works, so that no frame waits for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from imgu_ros.errors import ImguError
+from imgu_ros.params import HomographyParameters, Parameters
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Built:
+    """A chain, and what it was made of."""
+
+    chain: Chain
+    targets: tuple[Target, ...]
+    images: tuple[TargetImage, ...]
+    parameters: Parameters
+
+
+def build(images: Sequence[TargetImage], parameters: Parameters, before: Built | None = None) -> Built:
+    """Make a chain that is ready for its first frame.
+
+    Parameters
+    ----------
+    images : what is looked for
+    parameters : all parameters
+    before : its targets are used again where the parameters make no difference to them
+
+    Raises
+    ------
+    ImguError
+        If an image cannot serve as a target.
+    """
+    images = tuple(images)
+    if before is not None and before.images == images and _of_targets(before.parameters) == _of_targets(parameters):
+        targets = before.targets
+    else:
+        targets = prepare_targets(images, parameters)
+    chain = Chain(parameters, targets)
+    # Now, before frames come: later the first thorough search would hold them up.
+    chain.prepare()
+    return Built(chain, targets, images, parameters)
+
+
+class Rebuilder:
+    """Builds for the newest parameters that it is asked for, one at a time, in a thread that ends with its work.
+
+    Parameters
+    ----------
+    failed : takes a line about parameters with which no chain can be made; called in the thread
+    """
+
+    def __init__(self, failed: Callable[[str], None]) -> None:
+        self._failed = failed
+        self._lock = threading.Lock()
+        self._wanted: _Order | None = None
+        self._tried: Parameters | None = None
+        self._done: Built | None = None
+        self._thread: threading.Thread | None = None
+        self._closing = False
+
+    def ask(self, before: Built, parameters: Parameters) -> None:
+        """Have a chain made like `before` with other parameters; returns at once, and may be called again and again."""
+        with self._lock:
+            if parameters is self._tried or self._closing:
+                return
+            self._wanted = _Order(before, parameters)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="rebuilder", daemon=True)
+                self._thread.start()
+
+    def take(self) -> Built | None:
+        """Return what was made since the last call, None when nothing was."""
+        with self._lock:
+            done, self._done = self._done, None
+            return done
+
+    def forget(self) -> None:
+        """Drop what was asked for and what was made: other targets are looked for now."""
+        with self._lock:
+            self._wanted = self._tried = self._done = None
+
+    def close(self, timeout_s: float) -> bool:
+        """End the thread; return whether it has ended in time."""
+        with self._lock:
+            self._closing, self._wanted = True, None
+            thread = self._thread
+        if thread is not None:
+            thread.join(timeout_s)
+        return thread is None or not thread.is_alive()
+
+    def _run(self) -> None:
+        while (order := self._next()) is not None:
+            try:
+                built = build(order.before.images, order.parameters, order.before)
+            except ImguError as error:
+                self._failed(f"parameters: {error}; the chain goes on with the old ones")
+            except Exception as error:
+                # Whatever it is, the old chain goes on, and the next parameters may be better.
+                self._failed(f"parameters: {type(error).__name__}: {error}; the chain goes on with the old ones")
+            else:
+                with self._lock:
+                    self._done = built if self._tried is order.parameters else None
+
+    def _next(self) -> _Order | None:
+        with self._lock:
+            order, self._wanted = self._wanted, None
+            if order is None:
+                self._thread = None
+            else:
+                self._tried = order.parameters
+            return order
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Order:
+    """What is to be made: like `before`, with these parameters."""
+
+    before: Built
+    parameters: Parameters
+
+
+def _of_targets(parameters: Parameters) -> Parameters:
+    """Return the parameters with those at their defaults that make no difference to targets."""
+    none = Parameters()
+    return replace(
+        parameters,
+        seed=none.seed,
+        targets=none.targets,
+        camera=none.camera,
+        frames=none.frames,
+        tf=none.tf,
+        path=none.path,
+        demosaic=none.demosaic,
+        homography=HomographyParameters(min_inliers=parameters.homography.min_inliers),
+        tracking=none.tracking,
+        pose=none.pose,
+    )

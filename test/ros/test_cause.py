@@ -1,0 +1,21 @@
+from __future__ import annotations
+
+from imgu_ros.ros.cause import Cause, CauseLog, Kind
+
+NOBODY = Cause(Kind.NO_PUBLISHER, "no publisher on /a")
+IDLE = Cause(Kind.IDLE, "idle")
+UNSEEN = Cause(Kind.NOT_SEEN, "target not seen: best so far 3")
+
+
+def test_each_cause_is_news_once_and_again_after_a_minute_without_it():
+    log = CauseLog()
+    assert list(log.news([NOBODY, IDLE], 0.0)) == [NOBODY]
+    assert list(log.news([NOBODY, UNSEEN], 0.5)) == [UNSEEN]
+    # It lasts, with other figures.
+    for second in range(1, 200):
+        assert not list(log.news([NOBODY, Cause(Kind.NOT_SEEN, f"best so far {second}")], float(second)))
+    assert not list(log.news([], 230.0))
+    assert not list(log.news([NOBODY], 250.0))
+    assert list(log.news([NOBODY], 320.0)) == [NOBODY]
+    log.clear()
+    assert list(log.news([NOBODY], 320.5)) == [NOBODY]
