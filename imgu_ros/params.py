@@ -73,8 +73,17 @@ class TargetsParameters:
     )
     names: tuple[str, ...] = parameter((), "Name of each target in topics and files; default: the file's stem.")
     poses: tuple[float, ...] = parameter(
-        (), "Pose of each target in the map, seven numbers a target: x y z (m) qx qy qz qw; for `publish_tf`."
+        (), "Pose of each target in the map, seven numbers a target: x y z (m) qx qy qz qw; for `map/odom` and /tf."
     )
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedParameters:
+    format: str = parameter(
+        "jpeg", "Format of `<picture>/compressed`; pictures of 16 bits are always `png`.", choices=("jpeg", "png")
+    )
+    jpeg_quality: int = parameter(95, "Quality of JPEG, from small to good.", minimum=1, maximum=100)
+    png_level: int = parameter(3, "Effort of PNG, from fast to small.", minimum=0, maximum=9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,10 +344,15 @@ class Parameters:
         "", "Replay: the camera_info topic; empty: beside the image topic.", read_only=True
     )
     autostart: bool = parameter(True, "Configure and activate the node at start.", read_only=True)
-    publish_tf: bool = parameter(False, "Publish camera -> target on /tf (needs tf2_msgs).", read_only=True)
+    publish_tf: bool = parameter(
+        False,
+        "Publish camera -> target on /tf, and map -> `tf.root_frame` with `targets.poses`; needs tf2_msgs.",
+        read_only=True,
+    )
     seed: int = parameter(0, "Seed of every random draw.", minimum=0, maximum=2**53)
     targets: TargetsParameters = field(default_factory=TargetsParameters)
     camera: CameraParameters = field(default_factory=CameraParameters)
+    compressed: CompressedParameters = field(default_factory=CompressedParameters)
     frames: FramesParameters = field(default_factory=FramesParameters)
     tf: TfParameters = field(default_factory=TfParameters)
     path: PathParameters = field(default_factory=PathParameters)

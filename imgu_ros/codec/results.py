@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from imgu_ros.codec.compressed_image import compressed_image_message
 from imgu_ros.codec.encodings import encoding_for
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.features import homographies_message, keypoints_message, matches_message
@@ -67,6 +68,23 @@ def picture_message(make: MessageFactory, result: Result, pixels: Image) -> Any:
     """Return a picture with the result's header; (H, W) grey or (H, W, 3) RGB: also `debug_image`."""
     encoding = encoding_for(pixels.dtype, 1 if pixels.ndim == 2 else pixels.shape[-1])
     return image_message(make, result_header(result), pixels, encoding)
+
+
+def compressed_picture_message(
+    make: MessageFactory, result: Result, pixels: Image, file_format: str, jpeg_quality: int, png_level: int
+) -> Any:
+    """Return a picture with the result's header, compressed; what has 16 bits becomes PNG whatever is asked for.
+
+    Parameters
+    ----------
+    pixels : (H, W) grey or (H, W, 3) RGB, uint8 or uint16
+    file_format, jpeg_quality, png_level : as in `compressed_image_message`
+    """
+    encoding = encoding_for(pixels.dtype, 1 if pixels.ndim == 2 else pixels.shape[-1])
+    kind = "png" if pixels.dtype.itemsize > 1 else file_format
+    return compressed_image_message(
+        make, result_header(result), pixels, encoding, file_format=kind, jpeg_quality=jpeg_quality, png_level=png_level
+    )
 
 
 def result_keypoints_message(make: MessageFactory, result: Result) -> Any | None:
