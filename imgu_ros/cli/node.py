@@ -1,4 +1,5 @@
-"""Run a live ROS 2 node. `perception` is the whole chain, from image to pose, in one process.
+"""Run a live ROS 2 node. `perception` is the whole chain, from image to pose, in one process; the others are a stage of
+it each, to be spread over processes and hosts.
 
 Everything after the name is for the node: `-p NAME:=VALUE` and `--params-file FILE`, `-r FROM:=TO` to remap, with or
 without `--ros-args` before them.
@@ -16,10 +17,15 @@ from imgu_ros.errors import ParameterError
 HELP = "run a live node"
 
 #: Every node and the module that runs it: `run(ros_arguments, stop) -> int`.
-NODES = {"perception": "imgu_ros.ros.perception"}
-
-#: Nodes of the interfaces that this version does not have yet.
-PLANNED = ("demosaic", "pyramid", "features", "matcher", "homography", "pose")
+NODES = {
+    "perception": "imgu_ros.ros.perception",
+    "demosaic": "imgu_ros.ros.stages.demosaic",
+    "pyramid": "imgu_ros.ros.stages.pyramid",
+    "features": "imgu_ros.ros.stages.features",
+    "matcher": "imgu_ros.ros.stages.matcher",
+    "homography": "imgu_ros.ros.stages.homography",
+    "pose": "imgu_ros.ros.stages.pose",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,7 +110,5 @@ _ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "--log-level"
 
 
 def _unknown(name: str) -> str:
-    if name in PLANNED:
-        return f"node {name!r} is not available in this version; need one of {', '.join(NODES)}"
     near = difflib.get_close_matches(name, NODES, n=1)
     return f"{name!r} is no node{f' (did you mean {near[0]}?)' if near else ''}; need one of {', '.join(NODES)}"

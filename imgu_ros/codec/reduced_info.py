@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,9 +43,27 @@ def reduced_info_message(
     else:
         message = camera_info_message(make, header, camera)
     message.width, message.height = frame.width, frame.height
+    _set_reduction(message, covered, size)
+    return message
+
+
+def reduced_info_from(make: MessageFactory, header: Header, info: Any, covered: Covered, size: Covered) -> Any:
+    """Return the camera_info of a further reduced picture.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo of the picture that was reduced
+    header, covered, size : as for `reduced_info_message`
+    """
+    message = copy.deepcopy(info)
+    message.header = header_message(make, header)
+    _set_reduction(message, covered, size)
+    return message
+
+
+def _set_reduction(message: Any, covered: Covered, size: Covered) -> None:
     message.roi.width, message.roi.height = covered.width, covered.height
     message.binning_x, message.binning_y = round(covered.width / size.width), round(covered.height / size.height)
-    return message
 
 
 _UNCALIBRATED = {"k": np.zeros(9), "r": np.eye(3).reshape(9), "p": np.zeros(12)}

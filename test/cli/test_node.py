@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from imgu_ros.cli.main import main
-from imgu_ros.cli.node import NODES, PLANNED, ros_arguments_of
+from imgu_ros.cli.node import NODES, ros_arguments_of
 from imgu_ros.errors import ParameterError
 
 
@@ -36,7 +37,7 @@ def test_other_arguments_are_refused(rest):
     [
         ([], "need one of perception"),
         (["percepton"], "did you mean perception"),
-        (["pose"], "not available in this version"),
+        (["homografy"], "did you mean homography"),
         (["perception", "image.png"], "image.png: unknown argument"),
     ],
 )
@@ -57,8 +58,10 @@ def test_help_of_a_node(capsys):
     assert "--params-file" in capsys.readouterr().out
 
 
-def test_planned_nodes_are_not_there_yet():
-    assert not set(PLANNED) & set(NODES)
+def test_every_node_has_a_module_of_its_name():
+    for name, module in NODES.items():
+        assert module.rpartition(".")[2] == name
+        assert find_spec(module) is not None
 
 
 @pytest.mark.parametrize("command", [["node", "perception"], ["play", "bag"]])

@@ -1,0 +1,122 @@
+"""What a stage of the chain is when it has a node of its own: what it takes, what it gives, and what it does."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence, Set
+from typing import Any, ClassVar
+
+import numpy as np
+from rclpy.node import Node
+
+from imgu_ros.codec.header import Header
+from imgu_ros.params import Parameters
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.qos import image_qos, output_qos
+from imgu_ros.ros.stage_input import Feed, StageJob, StageTopics
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+_CLOUD_DEPTH = 10
+
+
+class Stage(ABC):
+    """A stage of the chain, for a node of its own.
+
+    `work` is called in the worker's thread, everything else between two frames.
+
+    Attributes
+    ----------
+    name : the node's
+    takes : the names of the feeds without which there is nothing to work on
+    choice : the topics that it gives
+    needs_targets : whether it has to know the targets
+    """
+
+    name: ClassVar[str]
+    takes: ClassVar[tuple[str, ...]]
+    choice: ClassVar[Choice]
+    needs_targets: ClassVar[bool] = False
+    parameters: Parameters = Parameters()
+
+    @abstractmethod
+    def topics(self, node: Node, parameters: Parameters) -> StageTopics:
+        """Return the topics that the stage takes."""
+
+    @abstractmethod
+    def work(self, job: StageJob, outputs: Outputs) -> None:
+        """Work on the messages of one stamp and publish what comes out.
+
+        Raises
+        ------
+        ImguError
+            If they cannot be read or worked on.
+        """
+
+    def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
+        """Work with these parameters and targets from now on.
+
+        Raises
+        ------
+        ImguError
+            If that cannot be; then nothing changes.
+        """
+        self.parameters = parameters
+
+    def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
+        """Return whether these messages of one stamp, by the names of their feeds, are enough to work on.
+
+        Parameters
+        ----------
+        messages : what has come
+        absent : feeds that nobody publishes
+        """
+        return all(name in messages for name in self.takes)
+
+
+class TargetStage(Stage):
+    """A stage that knows the targets."""
+
+    needs_targets = True
+    targets: tuple[Target, ...] = ()
+
+    def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
+        """See `Stage.use`."""
+        targets = prepare_targets(images, parameters)
+        super().use(parameters, images)
+        self.targets = targets
+
+
+def picture_feed(node: Node, name: str) -> Feed:
+    """Return a feed of pictures that any node may publish, with whatever quality of service."""
+    return Feed(name, node.resolve_topic_name(name), IMAGE_TYPE, image_qos())
+
+
+def level_feed(node: Node, name: str) -> Feed:
+    """Return a feed of pictures of another stage: without any of them a frame is lost."""
+    return Feed(name, node.resolve_topic_name(name), IMAGE_TYPE, output_qos())
+
+
+def cloud_feed(node: Node, name: str) -> Feed:
+    """Return a feed of point clouds of another stage."""
+    return Feed(name, node.resolve_topic_name(name), CLOUD_TYPE, output_qos(_CLOUD_DEPTH))
+
+
+def camera_info_beside(node: Node, feed: Feed, own: str = "camera_info") -> str:
+    """Return the camera_info topic beside a feed's, unless `own` is remapped itself."""
+    topic = node.resolve_topic_name(own)
+    if topic == node.resolve_topic_name(own, only_expand=True):
+        return feed.topic.rpartition("/")[0] + "/camera_info"
+    return topic
+
+
+def frame_without_image(header: Header, camera: Camera | None = None) -> Frame:
+    """Return the frame of which other stages have seen the pixels."""
+    return Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, camera)
+
+
+_NO_IMAGE = RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO))

@@ -1,0 +1,1 @@
+"""The stages of the chain, a node for each: the same code as in `perception`, over topics."""

@@ -1,0 +1,74 @@
+"""The node `demosaic`: raw images in, colour, grey, and the picture that keypoints are sought in out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rclpy.node import Node
+
+from imgu_ros.codec.frame import decode_frame
+from imgu_ros.codec.reduced_info import Covered, reduced_info_message
+from imgu_ros.codec.results import picture_message, result_header
+from imgu_ros.errors import ImguError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.development import develop_frame
+from imgu_ros.perception.features import plain_picture
+from imgu_ros.perception.pictures import Pictures
+from imgu_ros.perception.result import Result
+from imgu_ros.ros.input import input_topics
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.qos import image_qos
+from imgu_ros.ros.stage import IMAGE_TYPE, Stage
+from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, Feed, StageJob, StageTopics
+from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stopping import StopSignal
+
+REDUCED = "reduced/image_mono"
+REDUCED_INFO = "reduced/camera_info"
+_IN = "image_raw"
+
+
+def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
+    """Run the node until the process is asked to stop; return the exit code."""
+    return run_stage(DemosaicStage(), ros_arguments, stop)
+
+
+class DemosaicStage(Stage):
+    """Develops raw frames."""
+
+    name = "demosaic"
+    takes = (_IN,)
+    choice = Choice(
+        lambda topic: topic in ("image_color", "image_mono"), {REDUCED: IMAGE_TYPE, REDUCED_INFO: CAMERA_INFO_TYPE}
+    )
+
+    def topics(self, node: Node, parameters: Parameters) -> StageTopics:
+        """See `Stage.topics`."""
+        known = input_topics(node, parameters.image_transport)
+        return StageTopics((Feed(_IN, known.image, known.image_type, image_qos()),), known.camera_info)
+
+    def work(self, job: StageJob, outputs: Outputs) -> None:
+        """See `Stage.work`."""
+        p = self.parameters
+        frame = decode_frame(job.messages[_IN], job.camera_info, rectified=p.camera.rectified)
+        development = develop_frame(frame, p)
+        if development.developed is None:
+            raise ImguError(development.reason)
+        result = Result(frame, (), developed=development.developed)
+        # Before the others: it is made straight from the mosaic, as long as nobody has asked for more.
+        if outputs.listened(REDUCED) or outputs.listened(REDUCED_INFO):
+            self._publish_reduced(result, Pictures(development.developed), outputs)
+        outputs.publish(result)
+
+    def _publish_reduced(self, result: Result, pictures: Pictures, outputs: Outputs) -> None:
+        reduced = plain_picture(pictures, self.parameters)
+        height, width = pictures.shape
+        covered = Covered(*(int(side) for side in reduced.full_size))
+        size = Covered(reduced.image.shape[1], reduced.image.shape[0])
+        header, camera = result_header(result), result.frame.camera
+        outputs.offer(
+            REDUCED_INFO,
+            lambda: reduced_info_message(make_message, header, camera, Covered(width, height), covered, size),
+        )
+        outputs.offer(REDUCED, lambda: picture_message(make_message, result, reduced.image))

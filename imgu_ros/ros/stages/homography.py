@@ -1,0 +1,142 @@
+"""The node `homography`: tentative matches in, where the targets are in the image out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+
+from imgu_ros.codec.camera_info import decode_camera_info
+from imgu_ros.codec.features import decode_target_matches, matches_message
+from imgu_ros.codec.header import decode_header
+from imgu_ros.codec.image import decode_image
+from imgu_ros.codec.reduced_info import image_size
+from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.params import DemosaicParameters, Parameters, RawParameters
+from imgu_ros.perception.clock import StageClock
+from imgu_ros.perception.develop import develop
+from imgu_ros.perception.features import reduction_of
+from imgu_ros.perception.locating import Sight, draws, located
+from imgu_ros.perception.pictures import Pictures
+from imgu_ros.perception.posing import Located, posed
+from imgu_ros.perception.result import PoseStatus, Result, Status, TargetMatches, TargetResult
+from imgu_ros.perception.seeking import while_promising
+from imgu_ros.perception.targets import Target, TargetImage
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.stage import (
+    CLOUD_TYPE,
+    TargetStage,
+    camera_info_beside,
+    cloud_feed,
+    frame_without_image,
+    picture_feed,
+)
+from imgu_ros.ros.stage_input import StageJob, StageTopics
+from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.matching.matches import Matches
+
+#: What each homography was fitted to: the columns of `matches`.
+INLIERS = "homography/inliers"
+_MATCHES = "matches"
+_PICTURE = "image_mono"
+
+
+def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
+    """Run the node until the process is asked to stop; return the exit code."""
+    return run_stage(HomographyStage(), ros_arguments, stop)
+
+
+class HomographyStage(TargetStage):
+    """Finds targets by their matches, looks whether they are there, and refines where they are."""
+
+    name = "homography"
+    takes = (_MATCHES,)
+    choice = Choice(
+        lambda topic: topic in ("homography", "status") or topic.rpartition("/")[2] == "outline", {INLIERS: CLOUD_TYPE}
+    )
+
+    def topics(self, node: Node, parameters: Parameters) -> StageTopics:
+        """See `Stage.topics`."""
+        picture = picture_feed(node, _PICTURE)
+        return StageTopics((cloud_feed(node, _MATCHES), picture), camera_info_beside(node, picture))
+
+    def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
+        """See `Stage.use`."""
+        if parameters.matching.guided:
+            raise ParameterError("matching.guided: true; need false in a stage node, which has no descriptors")
+        super().use(parameters, images)
+
+    def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
+        """See `Stage.is_complete`: without refinement the picture is done without where nobody publishes it."""
+        spared = _PICTURE in absent and not self.parameters.refinement.enabled
+        return _MATCHES in messages and (_PICTURE in messages or spared)
+
+    def work(self, job: StageJob, outputs: Outputs) -> None:
+        """See `Stage.work`."""
+        header = decode_header(job.messages[_MATCHES])
+        tentative = decode_target_matches(job.messages[_MATCHES])
+        sight = self._sight(job)
+        clock = StageClock()
+        places: dict[int, Located] = {}
+
+        def finish(
+            found: TargetResult, target: Target, place: Located, camera: Camera | None, parameters: Parameters
+        ) -> TargetResult:
+            places[found.index] = place
+            # The pose is another stage's: of a target of unknown size there is none.
+            outlined = posed(found, replace(target, width_m=0.0), place, camera, parameters)
+            return replace(outlined, pose_status=PoseStatus.NONE, reason="")
+
+        def sought() -> Iterator[TargetResult]:
+            for index, matches in tentative.items():
+                if not 0 <= index < len(self.targets):
+                    continue
+                target = self.targets[index]
+                missing = TargetResult(target.name, index, Status.LOST, matches=matches)
+                rng = draws(self.parameters, header.stamp_ns, index)
+                yield located(missing, target, sight, self.parameters, rng, clock, finish=finish)
+
+        found = {result.index: result for result in while_promising(sought())}
+        targets = tuple(
+            found.get(index) or TargetResult(target.name, index, Status.LOST, reason="no matches")
+            for index, target in enumerate(self.targets)
+        )
+        result = Result(
+            frame_without_image(header, sight.camera),
+            targets,
+            times_ns=clock.times_ns,
+            total_ns=sum(clock.times_ns.values()),
+        )
+        outputs.publish(result)
+        fitted = [replace(found[index], matches=_agreeing(place)) for index, place in sorted(places.items())]
+        outputs.offer(INLIERS, lambda: matches_message(make_message, header, fitted))
+
+    def _sight(self, job: StageJob) -> Sight:
+        pictures = None
+        if _PICTURE in job.messages:
+            developed = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
+            pictures = Pictures(developed)
+            height, width = pictures.shape
+        elif job.camera_info is not None:
+            size = image_size(job.camera_info)
+            width, height = size.width, size.height
+        else:
+            raise ImguError("frame: neither image_mono nor camera_info; need one of them, for its size")
+        camera = None
+        if job.camera_info is not None:
+            rectified = self.parameters.camera.rectified
+            camera = decode_camera_info(job.camera_info, rectified=rectified, image_size=(width, height))
+        return Sight(camera, pictures, reduction_of((height, width), self.parameters).unit_px)
+
+
+def _agreeing(place: Located) -> TargetMatches:
+    count = len(place.template_xy)
+    none = np.full(count, -1, np.intp)
+    matches = Matches(none, none, np.zeros(count))
+    return TargetMatches(matches, place.template_xy, place.image_xy, np.ones(count, bool))

@@ -1,0 +1,74 @@
+"""The node `matcher`: keypoints in, their tentative matches with the targets' out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rclpy.node import Node
+
+from imgu_ros.codec.features import decode_keypoints
+from imgu_ros.codec.header import decode_header
+from imgu_ros.errors import EncodingError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
+from imgu_ros.perception.seeking import Seeker
+from imgu_ros.perception.targets import TargetImage
+from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.stage import TargetStage, cloud_feed, frame_without_image
+from imgu_ros.ros.stage_input import StageJob, StageTopics
+from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.matching.matches import Matches
+
+_IN = "keypoints"
+
+
+def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
+    """Run the node until the process is asked to stop; return the exit code."""
+    return run_stage(MatcherStage(), ros_arguments, stop)
+
+
+class MatcherStage(TargetStage):
+    """Matches descriptors to those of the targets."""
+
+    name = "matcher"
+    takes = (_IN,)
+    choice = Choice(lambda topic: topic == "matches", {})
+    _seeker: Seeker | None = None
+
+    def topics(self, node: Node, parameters: Parameters) -> StageTopics:
+        """See `Stage.topics`."""
+        return StageTopics((cloud_feed(node, _IN),))
+
+    def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
+        """See `Stage.use`."""
+        super().use(parameters, images)
+        self._seeker = Seeker(self.targets, parameters)
+
+    def work(self, job: StageJob, outputs: Outputs) -> None:
+        """See `Stage.work`."""
+        message = job.messages[_IN]
+        keypoints, descriptors = decode_keypoints(message)
+        if self._seeker is None or not self.targets:
+            return
+        known = self.targets[0].features.described.descriptors
+        if descriptors is None or descriptors.shape[1:] != known.shape[1:] or descriptors.dtype != known.dtype:
+            got = "none" if descriptors is None else f"{descriptors.shape[1]} x {descriptors.dtype}"
+            raise EncodingError(f"descriptors: {got}; need {known.shape[1]} x {known.dtype}: the same descriptor.kind")
+        found = list(self._seeker.match(Descriptions(keypoints, descriptors)))
+        # Nothing for all others is told too: so it is heard that the frame was looked at.
+        sought = {target.index for target in found}
+        found += [
+            TargetResult(target.name, index, Status.LOST, matches=_NONE)
+            for index, target in enumerate(self.targets)
+            if index not in sought
+        ]
+        outputs.publish(Result(frame_without_image(decode_header(message)), tuple(found)))
+
+
+_NO_INDICES = np.zeros(0, np.intp)
+_NONE = TargetMatches(
+    Matches(_NO_INDICES, _NO_INDICES, np.zeros(0)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool)
+)

@@ -1,0 +1,85 @@
+"""The node `pose`: homographies in, the camera's pose out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rclpy.node import Node
+
+from imgu_ros.codec.camera_info import decode_camera_info
+from imgu_ros.codec.features import decode_estimates, decode_target_matches
+from imgu_ros.codec.header import decode_header
+from imgu_ros.codec.reduced_info import image_size
+from imgu_ros.codec.results import result_status_message
+from imgu_ros.errors import EstimationError
+from imgu_ros.params import Parameters
+from imgu_ros.perception.posing import Located, posed
+from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.stage import TargetStage, camera_info_beside, cloud_feed, frame_without_image
+from imgu_ros.ros.stage_input import StageJob, StageTopics
+from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stages.homography import INLIERS
+from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.projective.homography import HomographyEstimate
+
+STATUS = "pose/status"
+_HOMOGRAPHY = "homography"
+_GIVEN = ("pose", "odom", "path")
+
+
+def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
+    """Run the node until the process is asked to stop; return the exit code."""
+    return run_stage(PoseStage(), ros_arguments, stop)
+
+
+class PoseStage(TargetStage):
+    """Finds the pose of a calibrated camera."""
+
+    name = "pose"
+    takes = (_HOMOGRAPHY, INLIERS)
+    choice = Choice(
+        lambda topic: topic == "/tf" or topic.rpartition("/")[2] in _GIVEN,
+        {STATUS: "diagnostic_msgs/msg/DiagnosticArray"},
+    )
+
+    def topics(self, node: Node, parameters: Parameters) -> StageTopics:
+        """See `Stage.topics`."""
+        homography = cloud_feed(node, _HOMOGRAPHY)
+        return StageTopics((homography, cloud_feed(node, INLIERS)), camera_info_beside(node, homography))
+
+    def work(self, job: StageJob, outputs: Outputs) -> None:
+        """See `Stage.work`."""
+        header = decode_header(job.messages[_HOMOGRAPHY])
+        agreeing = decode_target_matches(job.messages[INLIERS])
+        counts = {index: len(matches.template_xy) for index, matches in agreeing.items()}
+        estimates = decode_estimates(job.messages[_HOMOGRAPHY], counts)
+        camera = None
+        if job.camera_info is not None:
+            size = image_size(job.camera_info)
+            rectified = self.parameters.camera.rectified
+            camera = decode_camera_info(job.camera_info, rectified=rectified, image_size=(size.width, size.height))
+        targets = tuple(self._posed(index, estimates, agreeing, camera) for index in range(len(self.targets)))
+        result = Result(frame_without_image(header, camera), targets)
+        outputs.publish(result)
+        outputs.offer(STATUS, lambda: result_status_message(make_message, result))
+
+    def _posed(
+        self,
+        index: int,
+        estimates: Mapping[int, HomographyEstimate],
+        agreeing: Mapping[int, TargetMatches],
+        camera: Camera | None,
+    ) -> TargetResult:
+        target = self.targets[index]
+        if index not in estimates:
+            return TargetResult(target.name, index, Status.LOST, reason="no homography")
+        matches = agreeing[index]
+        place = Located(matches.template_xy, matches.image_xy, estimates[index])
+        found = TargetResult(target.name, index, Status.DETECTED, matches=matches)
+        try:
+            return posed(found, target, place, camera, self.parameters)
+        except EstimationError as error:
+            return TargetResult(target.name, index, Status.DEGENERATE, reason=str(error), matches=matches)

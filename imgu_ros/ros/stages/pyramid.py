@@ -1,0 +1,67 @@
+"""The node `pyramid`: a grey picture in, its pyramid out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rclpy.node import Node
+
+from imgu_ros.codec.frame import decode_frame
+from imgu_ros.codec.reduced_info import Covered, decode_covered, reduced_info_from, reduced_info_message
+from imgu_ros.codec.results import result_header
+from imgu_ros.params import DemosaicParameters, Parameters, RawParameters
+from imgu_ros.perception.develop import develop
+from imgu_ros.perception.features import Reduced, frame_pyramid, reduced_picture
+from imgu_ros.perception.pictures import Pictures
+from imgu_ros.perception.result import Result
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.stage import Stage, camera_info_beside, picture_feed
+from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, StageJob, StageTopics
+from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO
+from imgu_ros.ros.stopping import StopSignal
+
+LEVELS = "pyramid/level_"
+LEVELS_INFO = "pyramid/camera_info"
+
+
+def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
+    """Run the node until the process is asked to stop; return the exit code."""
+    return run_stage(PyramidStage(), ros_arguments, stop)
+
+
+class PyramidStage(Stage):
+    """Builds pyramids."""
+
+    name = "pyramid"
+    takes = (REDUCED,)
+    choice = Choice(lambda topic: topic.startswith(LEVELS), {LEVELS_INFO: CAMERA_INFO_TYPE})
+
+    def topics(self, node: Node, parameters: Parameters) -> StageTopics:
+        """See `Stage.topics`."""
+        picture = picture_feed(node, REDUCED)
+        return StageTopics((picture,), camera_info_beside(node, picture, REDUCED_INFO))
+
+    def work(self, job: StageJob, outputs: Outputs) -> None:
+        """See `Stage.work`."""
+        frame = decode_frame(job.messages[REDUCED], None, rectified=False)
+        # Whoever made the picture has developed it.
+        developed = develop(frame.image, RawParameters(), DemosaicParameters())
+        height, width = developed.shape
+        size = Covered(width, height)
+        shown = size if job.camera_info is None else decode_covered(job.camera_info, size)
+        base = reduced_picture(Pictures(developed), self.parameters)
+        full_size = base.full_size * (shown.width, shown.height) / (width, height)
+        pyramid = frame_pyramid(Reduced(base.image, full_size), self.parameters)
+        result = Result(frame, (), developed=developed, pyramid=pyramid)
+        header = result_header(result)
+        covered = Covered(*np.rint(full_size).astype(int).tolist())
+        level = Covered(base.image.shape[1], base.image.shape[0])
+        if job.camera_info is None:
+            info = reduced_info_message(make_message, header, None, shown, covered, level)
+        else:
+            info = reduced_info_from(make_message, header, job.camera_info, covered, level)
+        outputs.offer(LEVELS_INFO, lambda: info)
+        outputs.publish(result)

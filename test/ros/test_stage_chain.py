@@ -1,0 +1,221 @@
+"""The stages one after the other, without a middleware between them, beside the chain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+from imgu_ros.codec.camera_info import camera_info_message
+from imgu_ros.codec.features import decode_estimates, decode_keypoints, decode_target_matches
+from imgu_ros.codec.header import Header
+from imgu_ros.codec.image import image_message
+from imgu_ros.codec.results import FRAME_OUTPUTS, level_message
+from imgu_ros.errors import ImguError
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import Parameters
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.result import Result, Status
+from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.stage import Stage
+from imgu_ros.ros.stage_input import StageJob
+from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO, DemosaicStage
+from imgu_ros.ros.stages.features import FeaturesStage
+from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
+from imgu_ros.ros.stages.matcher import MatcherStage
+from imgu_ros.ros.stages.pose import PoseStage
+from imgu_ros.ros.stages.pyramid import LEVELS_INFO, PyramidStage
+from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, default_targets, simulate_sequence
+from imgu_ros.vision.camera.intrinsics import DistortionModel, make_camera
+
+OFF = {"tracking.enabled": False, "refinement.enabled": False, "search.thorough": False}
+
+
+class Told:
+    """Stands for the publishers: every topic has a listener."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self.messages: dict[str, Any] = {}
+        self.result: Result | None = None
+
+    def listened(self, topic: str) -> bool:
+        return True
+
+    def offer(self, topic: str, make: Any) -> None:
+        self.messages[topic] = make()
+
+    def publish(self, result: Result) -> None:
+        self.result = result
+        made = {topic: output.message(make_message, result) for topic, output in FRAME_OUTPUTS.items()}
+        made |= {f"pyramid/level_{level}": level_message(make_message, result, level) for level in range(8)}
+        chosen = {topic for topic in made if self._stage.choice.includes(topic)}
+        self.messages |= {topic: made[topic] for topic in chosen if made[topic] is not None}
+
+
+class Six:
+    """The six stages, by hand."""
+
+    def __init__(self, parameters: Parameters, images: list[TargetImage]) -> None:
+        self.parameters = parameters
+        self.stages: list[Stage] = [
+            DemosaicStage(), PyramidStage(), FeaturesStage(), MatcherStage(), HomographyStage(), PoseStage(),
+        ]  # fmt: skip
+        for stage in self.stages:
+            stage.use(parameters, images)
+
+    def work(self, frame: Frame, without: tuple[str, ...] = (), calibrated: bool = True) -> Told:
+        """Return all that is told about a frame."""
+        header = Header(frame.stamp_ns, frame.frame_id)
+        assert frame.camera is not None
+        info = camera_info_message(make_message, header, frame.camera) if calibrated else None
+        image = image_message(make_message, header, frame.image.pixels, "bayer_rggb8")
+        known: dict[str, Any] = {"image_raw": image}
+        infos = {"pyramid": REDUCED_INFO, "features": LEVELS_INFO}
+        for stage in self.stages:
+            beside = known[infos[stage.name]] if stage.name in infos else info
+            job = StageJob({name: m for name, m in known.items() if name not in without}, beside, 0.0)
+            assert stage.is_complete(job.messages, set(without))
+            told = Told(stage)
+            stage.work(job, told)  # type: ignore[arg-type]
+            known |= told.messages
+            if stage.name == "homography":
+                self.located = told
+        self.known = known
+        return told
+
+
+def compared(parameters: Parameters, images: list[TargetImage], frames: list[Frame]) -> list[float]:
+    """Return the differences of the corners, px, between the six stages and the chain, for targets that are found."""
+    chain, six = Chain(parameters, prepare_targets(images, parameters)), Six(parameters, images)
+    differences = []
+    for frame in frames:
+        expected = chain.process(frame)
+        posed = six.work(frame).result
+        located = six.located.result
+        assert located is not None
+        assert posed is not None
+        assert [t.status for t in located.targets] == [t.status for t in expected.targets]
+        for mine, theirs, pose in zip(located.targets, expected.targets, posed.targets, strict=True):
+            if theirs.outline is not None:
+                differences.append(float(np.abs(mine.outline - theirs.outline).max()))
+                assert pose.pose_status is theirs.pose_status
+            if theirs.pose is not None and not parameters.refinement.enabled:
+                assert_allclose(pose.pose.t, theirs.pose.t, rtol=1e-9 + 10 * max(differences))
+    return differences
+
+
+def sequence(count: int, targets: int, **changes: Any) -> tuple[list[TargetImage], list[Frame]]:
+    images = default_targets(targets, seed=5, width_m=0.3)
+    simulation = Simulation(width=480, height=360, frames=count, seed=5)
+    simulation = replace(simulation, **changes)
+    return list(images), [simulated.frame for simulated in simulate_sequence(simulation, images)]
+
+
+CAMERA = default_camera(480, 360)
+LENS = make_camera(
+    CAMERA.K, TYPICAL_LENSES[DistortionModel.PLUMB_BOB], DistortionModel.PLUMB_BOB, CAMERA.width, CAMERA.height
+)
+
+
+@pytest.mark.parametrize(
+    ("count", "changes", "given"),
+    [
+        (3, {}, {}),
+        (2, {"camera": LENS}, {"keypoints.max_count": 400}),
+        (1, {}, {"descriptor.kind": "sift"}),
+        (1, {}, {"pyramid.kind": "fine", "preprocess.gamma": 0.8, "pyramid.max_side_px": 400}),
+        (2, {"width": 962, "height": 542}, {}),
+        (1, {"width": 1202, "height": 902}, {"pyramid.max_side_px": 420}),
+    ],
+)
+def test_the_stages_find_what_the_chain_finds(count: int, changes: dict[str, Any], given: dict[str, Any]) -> None:
+    images, frames = sequence(count, 2, **changes)
+    differences = compared(parameters_from({**OFF, **given}), images, frames)
+    assert len(differences) >= count
+    assert max(differences) < 1e-6
+
+
+def test_of_many_targets_the_likely_ones_are_matched() -> None:
+    images, frames = sequence(1, 5)
+    differences = compared(parameters_from(OFF), images, frames)
+    assert max(differences) < 1e-6
+
+
+def test_refined_homographies_agree_closely() -> None:
+    images, frames = sequence(2, 1)
+    assert max(compared(parameters_from({**OFF, "refinement.enabled": True}), images, frames)) < 0.01
+
+
+def test_what_is_told_between_the_stages() -> None:
+    images, frames = sequence(1, 1, width=962, height=542)
+    six = Six(parameters_from(OFF), images)
+    six.work(frames[0])
+    info = six.known[LEVELS_INFO]
+    assert (info.width, info.height, info.roi.width, info.binning_x) == (962, 542, 962, 2)
+    assert (six.known[REDUCED].width, six.known[REDUCED].height) == (481, 271)
+    keypoints, _ = decode_keypoints(six.known["keypoints"])
+    assert keypoints.xy[:, 0].max() > 481, "places are those of the whole frame"
+    tentative = decode_target_matches(six.known["matches"])[0]
+    agreeing = decode_target_matches(six.known[INLIERS])[0]
+    assert 0 < len(agreeing.template_xy) < len(tentative.template_xy)
+    assert not tentative.inliers.any()
+    assert agreeing.inliers.all()
+    estimate = decode_estimates(six.known["homography"], {0: len(agreeing.template_xy)})[0]
+    mapped = np.column_stack((agreeing.template_xy, np.ones(len(agreeing.template_xy)))) @ estimate.H.T
+    assert np.median(np.abs(mapped[:, :2] / mapped[:, 2:] - agreeing.image_xy)) < 3
+
+
+def test_without_a_picture_nothing_is_confirmed_and_without_both_there_is_no_size() -> None:
+    images, frames = sequence(1, 1)
+    six = Six(parameters_from(OFF), images)
+    told = six.work(frames[0], without=("image_mono",))
+    assert told.result.targets[0].pose is not None
+    with pytest.raises(ImguError, match="need one of them"):
+        six.work(frames[0], without=("image_mono",), calibrated=False)
+    refining = HomographyStage()
+    refining.use(parameters_from(OFF | {"refinement.enabled": True}), images)
+    assert not refining.is_complete({"matches": None}, {"image_mono"})
+
+
+def test_uncalibrated_frames_have_homographies_and_no_poses() -> None:
+    images, frames = sequence(1, 1)
+    told = Six(parameters_from(OFF), images).work(frames[0], calibrated=False)
+    assert [target.pose_status for target in told.result.targets] == ["uncalibrated"]
+    assert told.result.targets[0].homography is not None
+
+
+def test_levels_are_waited_for_by_the_size_of_the_first() -> None:
+    images, frames = sequence(1, 1)
+    six = Six(parameters_from(OFF), images)
+    six.work(frames[0])
+    features = six.stages[2]
+    levels = {name: m for name, m in six.known.items() if name.startswith("pyramid/level_")}
+    assert len(levels) == 3
+    for missing in levels:
+        assert not features.is_complete({n: m for n, m in levels.items() if n != missing}, set())
+    assert features.is_complete(levels, set())
+
+
+def test_other_descriptors_than_the_targets_are_refused() -> None:
+    images, frames = sequence(1, 1)
+    six = Six(parameters_from(OFF), images)
+    six.work(frames[0])
+    matcher = MatcherStage()
+    matcher.use(parameters_from({**OFF, "descriptor.kind": "sift"}), images)
+    with pytest.raises(ImguError, match="32 x uint8; need 128 x float32"):
+        matcher.work(StageJob({"keypoints": six.known["keypoints"]}, None, 0.0), Told(matcher))  # type: ignore[arg-type]
+
+
+def test_lost_targets_are_told_too() -> None:
+    images, frames = sequence(1, 1)
+    dark = replace(frames[0], image=replace(frames[0].image, pixels=np.zeros_like(frames[0].image.pixels)))
+    told = Six(parameters_from(OFF), images).work(dark)
+    assert [target.status for target in told.result.targets] == [Status.LOST]
