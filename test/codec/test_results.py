@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imgu_ros.codec.compressed_image import decode_compressed_image
 from imgu_ros.codec.features import (
     decode_homographies,
     decode_keypoints,
@@ -18,6 +19,7 @@ from imgu_ros.codec.point_cloud import point_cloud_message
 from imgu_ros.codec.results import (
     FRAME_OUTPUTS,
     TARGET_OUTPUTS,
+    compressed_picture_message,
     level_message,
     needs_keypoints,
     target_transforms,
@@ -70,6 +72,23 @@ def test_pictures(make, result):
         np.testing.assert_array_equal(decode_image(message).pixels, result.pyramid.levels[level].image)
     assert level_message(make, result, 2) is None
     assert level_message(make, result, -1) is None
+
+
+def test_compressed_pictures(make, result):
+    color = result.developed.color()
+    deep = compressed_picture_message(make, result, color, "jpeg", 95, 3)
+    assert deep.format == "rgb16; png compressed bgr16", "JPEG has no 16 bits"
+    np.testing.assert_array_equal(decode_compressed_image(deep).pixels[:, :, ::-1], color)
+    grey = result.developed.grey
+    sizes = []
+    for quality in (20, 95):
+        message = compressed_picture_message(make, result, grey, "jpeg", quality, 3)
+        assert message.format == "mono8; jpeg compressed"
+        assert decode_header(message) == HEADER
+        sizes.append(len(message.data))
+    assert sizes[0] < sizes[1]
+    png = compressed_picture_message(make, result, grey, "png", 95, 9)
+    np.testing.assert_array_equal(decode_compressed_image(png).pixels, grey)
 
 
 @pytest.mark.parametrize(
