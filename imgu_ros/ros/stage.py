@@ -14,7 +14,7 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.qos import image_qos, output_qos
+from imgu_ros.ros.qos import output_qos
 from imgu_ros.ros.stage_input import Feed, StageJob, StageTopics
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -92,12 +92,7 @@ class TargetStage(Stage):
 
 
 def picture_feed(node: Node, name: str) -> Feed:
-    """Return a feed of pictures that any node may publish, with whatever quality of service."""
-    return Feed(name, node.resolve_topic_name(name), IMAGE_TYPE, image_qos())
-
-
-def level_feed(node: Node, name: str) -> Feed:
-    """Return a feed of pictures of another stage: without any of them a frame is lost."""
+    """Return a feed of pictures of another stage, reliable: across a network a large one would seldom arrive whole."""
     return Feed(name, node.resolve_topic_name(name), IMAGE_TYPE, output_qos())
 
 

@@ -130,8 +130,8 @@ LENS = make_camera(
     [
         (3, {}, {}),
         (2, {"camera": LENS}, {"keypoints.max_count": 400}),
-        (1, {}, {"descriptor.kind": "sift"}),
-        (1, {}, {"pyramid.kind": "fine", "preprocess.gamma": 0.8, "pyramid.max_side_px": 400}),
+        (1, {}, {"descriptor.kind": "sift", "pyramid.kind": "fine"}),
+        (1, {"width": 962, "height": 542}, {"preprocess.gamma": 0.8}),
         (2, {"width": 962, "height": 542}, {}),
         (1, {"width": 1202, "height": 902}, {"pyramid.max_side_px": 420}),
     ],
