@@ -1,57 +1,104 @@
 """Start the perception node beside a camera.
 
-    ros2 launch imgu_ros perception.launch.py namespace:=camera target:=/path/to/poster.png width_m:=0.42
-    ros2 launch imgu_ros perception.launch.py params_file:=perception.yaml image:=/camera/image_raw
+    ros2 launch imgu_ros perception.launch.py image:=/camera/image_raw target:=/path/to/poster.png width_m:=0.42
+    ros2 launch imgu_ros perception.launch.py namespace:=camera params_file:=perception.yaml rviz:=true
 
-The DDS profile for large images is on for this node; turn it on for the camera's driver too
-(FASTRTPS_DEFAULT_PROFILES_FILE).
+`ros2 launch imgu_ros perception.launch.py --show-args` lists the arguments. The DDS profile for large images is on for
+this node; turn it on for the camera's driver too (FASTRTPS_DEFAULT_PROFILES_FILE).
 """
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
 
+#: Name, default, description.
+ARGUMENTS = (
+    ("namespace", "", "namespace of the node and of its topics"),
+    ("name", "perception", "name of the node"),
+    ("image", "image_raw", "image topic; camera_info is taken from beside it"),
+    ("camera_info", "", "camera_info topic, if it is not beside the image topic"),
+    ("transport", "", "raw, or compressed: then <image>/compressed is read; empty: as params_file says"),
+    ("target", "", "picture file of the target"),
+    ("width_m", "0.0", "printed width of the target, m; 0: unknown, and no metric pose"),
+    ("params_file", "", "parameter file; the other arguments come after it"),
+    ("publish_tf", "", "true: camera -> target, and map -> root with targets.poses; empty: as params_file says"),
+    ("target_prefix", "", "put before the targets' names to make their frames; empty: as params_file says"),
+    ("use_sim_time", "", "true: time comes from /clock; empty: as params_file says"),
+    ("large_images", "true", "true: use the DDS profile for large images"),
+    ("log_level", "info", "debug, info, warn, error"),
+    ("rviz", "false", "true: start RViz, too"),
+    ("fixed_frame", "", "RViz's fixed frame; empty: the target's, or the map"),
+)  # fmt: skip
+
 
 def generate_launch_description():
     """Return what `ros2 launch` runs."""
-    share = Path(get_package_share_directory("imgu_ros"))
-    return LaunchDescription([
-        DeclareLaunchArgument("namespace", default_value="", description="namespace of the node"),
-        DeclareLaunchArgument("image", default_value="image_raw", description="image topic"),
-        DeclareLaunchArgument("target", default_value="", description="picture file of the target"),
-        DeclareLaunchArgument("width_m", default_value="0.0", description="printed width of the target; 0: unknown"),
-        DeclareLaunchArgument("params_file", default_value="", description="parameter file"),
-        DeclareLaunchArgument("large_images", default_value="true", description="use the DDS profile for large images"),
-        SetEnvironmentVariable(
-            "FASTRTPS_DEFAULT_PROFILES_FILE",
-            str(share / "config" / "fastdds_large_images.xml"),
-            condition=IfCondition(LaunchConfiguration("large_images")),
-        ),
-        OpaqueFunction(function=_node),
-    ])  # fmt: skip
-
-
-def _node(context):
-    def given(name):
-        return LaunchConfiguration(name).perform(context)
-
-    parameters = [given("params_file")] if given("params_file") else []
-    if given("target"):
-        parameters.append({"targets.images": [given("target")], "targets.widths_m": [float(given("width_m"))]})
-    return [
-        Node(
-            package="imgu_ros",
-            executable="imgu",
-            arguments=["node", "perception"],
-            namespace=given("namespace"),
-            parameters=parameters,
-            remappings=[("image_raw", given("image"))],
-            output="screen",
-        )
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, default, description in ARGUMENTS
     ]
+    return LaunchDescription([*declared, OpaqueFunction(function=_nodes)])
+
+
+def _nodes(context):
+    given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
+    share = Path(get_package_share_directory("imgu_ros"))
+    parameters = {}
+    if given["transport"]:
+        parameters["image_transport"] = given["transport"]
+    for name in ("use_sim_time", "publish_tf"):
+        if given[name]:
+            parameters[name] = _is_true(given, name)
+    if given["target"]:
+        parameters["targets.images"] = [given["target"]]
+        parameters["targets.widths_m"] = [_number(given, "width_m")]
+    if given["target_prefix"]:
+        parameters["frames.target_prefix"] = given["target_prefix"]
+    remappings = [("image_raw", given["image"])]
+    if given["camera_info"]:
+        remappings.append(("camera_info", given["camera_info"]))
+    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(share / "config" / "fastdds_large_images.xml")}
+    perception = Node(
+        package="imgu_ros",
+        executable="imgu",
+        arguments=["node", "perception"],
+        name=given["name"],
+        namespace=given["namespace"],
+        parameters=[*filter(None, [given["params_file"], parameters])],
+        remappings=remappings,
+        ros_arguments=["--log-level", given["log_level"]],
+        additional_env=profile if _is_true(given, "large_images") else {},
+        output="screen",
+    )
+    return [perception, *([_rviz(given, share)] if _is_true(given, "rviz") else [])]
+
+
+def _rviz(given, share):
+    frame = given["fixed_frame"] or (given["target_prefix"] + Path(given["target"]).stem if given["target"] else "map")
+    # Topics in the file are relative: RViz looks for them in its own namespace.
+    return Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=given["namespace"],
+        arguments=["-d", str(share / "config" / "perception.rviz"), "-f", frame],
+        parameters=[{"use_sim_time": given["use_sim_time"] == "true"}],
+    )
+
+
+def _is_true(given, name):
+    text = given[name].lower()
+    if text not in ("true", "false"):
+        raise ValueError(f"{name}: {given[name]!r}; need true or false")
+    return text == "true"
+
+
+def _number(given, name):
+    try:
+        return float(given[name])
+    except ValueError:
+        raise ValueError(f"{name}: {given[name]!r}; need a number") from None
