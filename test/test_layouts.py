@@ -1,4 +1,4 @@
-"""Layouts of RViz and Foxglove: they can be read, and speak of topics that the node has, with the types that they show."""
+"""Layouts of RViz and Foxglove: they can be read, and speak of topics that the node has, of the types they show."""
 
 from __future__ import annotations
 
