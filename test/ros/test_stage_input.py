@@ -1,0 +1,132 @@
+"""Messages of one stamp from several topics find each other, whatever the order in which they come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+from imgu_ros.codec.header import Header, decode_header, header_message
+from imgu_ros.ros import stage_input
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.newest import NewestSlot
+from imgu_ros.ros.qos import output_qos
+from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, Feed, StageInput, StageJob, StageTopics
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+class Node:
+    """Stands for a node: keeps the callbacks of its subscriptions."""
+
+    def __init__(self) -> None:
+        self.callbacks: dict[str, Callable[[Any], None]] = {}
+        self.unpublished: set[str] = set()
+
+    def create_subscription(self, _: Any, topic: str, callback: Callable[[Any], None], __: Any, **___: Any) -> str:
+        self.callbacks[topic] = callback
+        return topic
+
+    def destroy_subscription(self, topic: str) -> None:
+        del self.callbacks[topic]
+
+    def count_publishers(self, topic: str) -> int:
+        return int(topic not in self.unpublished)
+
+
+class Rig:
+    """An input of topics a and b, and what it hands over."""
+
+    def __init__(self, camera_info: str = "", b_may_lack: bool = False) -> None:
+        self.node = Node()
+        self.slot: NewestSlot[StageJob] = NewestSlot(patience_s=1e9)
+        feeds = tuple(Feed(name, f"/{name}", CLOUD, output_qos()) for name in "ab")
+        complete = lambda got, absent: "a" in got and ("b" in got or (b_may_lack and "b" in absent))  # noqa: E731
+        topics = StageTopics(feeds, camera_info)
+        self.input = StageInput(self.node, topics, complete, self.slot)  # type: ignore[arg-type]
+        self.input.open()
+
+    def tell(self, name: str, stamp_ns: int) -> list[int]:
+        """Let a message come; return the stamps of what was handed over."""
+        type_name = CAMERA_INFO_TYPE if name == "info" else CLOUD
+        header = header_message(make_message, Header(stamp_ns, "camera"))
+        self.node.callbacks[f"/{name}"](make_message(type_name, header=header))
+        return [decode_header(job.messages["a"]).stamp_ns for job in self.taken()]
+
+    def taken(self) -> list[StageJob]:
+        jobs = list(self.slot._waiting)
+        self.slot.clear()
+        return [job for _, job in jobs]
+
+
+@given(st.permutations([(name, stamp) for name in "ab" for stamp in range(5)]))
+def test_each_stamp_is_handed_over_once_unless_a_newer_one_overtook_it(order):
+    rig, seen, done = Rig(), set(), []
+    for name, stamp in order:
+        seen.add((name, stamp))
+        given_out = rig.tell(name, stamp)
+        assert given_out in ([], [stamp])
+        assert all({("a", s), ("b", s)} <= seen for s in given_out)
+        done += given_out
+    assert len(set(done)) == len(done)
+    assert done, "the last message completes something, or did before"
+    assert rig.input.arrivals.count == len(done)
+
+
+def test_stamps_that_jump_back_begin_anew():
+    rig = Rig()
+    rig.tell("a", 100)
+    assert rig.tell("b", 100) == [100]
+    rig.tell("a", 5)
+    assert rig.tell("b", 5) == [5]
+
+
+def test_what_never_becomes_complete_is_forgotten():
+    rig = Rig()
+    for stamp in range(100):
+        rig.tell("b", stamp)
+    assert rig.input.incomplete == 100 - stage_input._MOST_WAITING
+    assert rig.tell("a", 50) == []
+    assert rig.tell("a", 99) == [99]
+
+
+def test_camera_info_goes_with_its_stamp():
+    rig = Rig("/info")
+    rig.tell("info", 1)
+    rig.tell("a", 1)
+    rig.tell("b", 1)
+    rig.tell("a", 2)
+    assert rig.tell("b", 2) == []
+    assert rig.tell("info", 2) == [2]
+
+
+def test_a_topic_that_nobody_publishes_is_done_without_where_that_may_be(monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(stage_input.time, "monotonic", lambda: now[0])
+    rig = Rig(b_may_lack=True)
+    rig.node.unpublished.add("/b")
+    rig.input.check_waiting()
+    assert rig.tell("a", 1) == [], "its publisher may still be found"
+    now[0] += 3.0
+    rig.input.check_waiting()
+    assert [decode_header(job.messages["a"]).stamp_ns for job in rig.taken()] == [1]
+    assert rig.tell("a", 2) == [2]
+    rig.node.unpublished.clear()
+    rig.input.check_waiting()
+    assert rig.tell("a", 3) == []
+    assert rig.tell("b", 3) == [3]
+
+
+def test_a_closed_input_holds_nothing():
+    rig = Rig("/info")
+    rig.tell("a", 1)
+    rig.input.close()
+    assert not rig.input.is_open
+    assert not rig.node.callbacks
+    assert not rig.taken()
+    assert rig.input.why_silent() == ""
