@@ -93,6 +93,7 @@ class CameraParameters:
 
 @dataclass(frozen=True, slots=True)
 class FramesParameters:
+    camera: str = parameter("", "Name of the camera's optical frame in all outputs; empty: the images' own frame_id.")
     map: str = parameter("map", "Frame in which `targets.poses` are given.")
     target_prefix: str = parameter("", "Put before a target's name to make its frame in /tf and in odometry.")
 
@@ -140,6 +141,12 @@ class RawParameters:
         "matter.",
         minimum=0.0,
         maximum=1e6,
+    )
+    transfer: str = parameter(
+        "auto",
+        "How grey values go with the light: `linear`, as raw ones do; `srgb`, as those of pictures to be looked at. "
+        "`auto`: sRGB for colour images, linear for all others. Targets are compared accordingly.",
+        choices=("auto", "linear", "srgb"),
     )
     bands: tuple[int, ...] = parameter(
         (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=9998

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -31,6 +32,7 @@ class ResultsBag:
     def __init__(self, path: Path, parameters: Parameters, targets: Sequence[str], record: Sequence[str]) -> None:
         self._record = checked_record(record)
         self._prefix = parameters.frames.target_prefix
+        self._camera_frame = parameters.frames.camera
         self._paths = {
             name: PathHistory(make_message, self._prefix + name, parameters.path.max_length) for name in targets
         }
@@ -46,6 +48,8 @@ class ResultsBag:
 
     def write(self, result: Result, time_ns: int) -> None:
         """Write the messages of one frame; `time_ns` is when the bag recorded the frame."""
+        if self._camera_frame:
+            result = replace(result, frame=replace(result.frame, frame_id=self._camera_frame))
         for topic in (*FRAME_TOPICS, *self._record):
             self._write(topic, _frame_message(topic, result), time_ns)
         for target in result.targets:

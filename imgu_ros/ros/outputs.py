@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -143,6 +143,7 @@ class Outputs:
 
     def publish(self, result: Result) -> None:
         """Publish what a frame has for each topic that somebody listens to."""
+        result = self._in_camera_frame(result)
         for topic, output in FRAME_OUTPUTS.items():
             self.offer(topic, partial(output.message, make_message, result))
         for level in range(self._parameters.pyramid.levels):
@@ -160,6 +161,7 @@ class Outputs:
 
     def publish_rejected(self, result: Result) -> None:
         """Publish what is to be said about a frame that could not be read: its status."""
+        result = self._in_camera_frame(result)
         self.offer("status", partial(FRAME_OUTPUTS["status"].message, make_message, result))
 
     def listened(self, topic: str) -> bool:
@@ -219,6 +221,10 @@ class Outputs:
 
     def _is_chosen(self, topic: str) -> bool:
         return self._choice is None or self._choice.includes(topic) or topic in self._choice.beside
+
+    def _in_camera_frame(self, result: Result) -> Result:
+        name = self._parameters.frames.camera
+        return replace(result, frame=replace(result.frame, frame_id=name)) if name else result
 
     def _publish_compressed(self, result: Result) -> None:
         developed = result.developed
@@ -281,7 +287,9 @@ class Outputs:
 
     def _publish_tf(self, result: Result, map_from_camera: Pose | None) -> None:
         if not result.frame.frame_id:
-            self._problem = "tf: the images' frame_id is empty; need the name of the camera's optical frame"
+            self._problem = (
+                "tf: the images' frame_id is empty; need frames.camera, the name of the camera's optical frame"
+            )
             self._say(self._problem)
             return
         transforms = target_transforms(result, self._parameters.frames.target_prefix)

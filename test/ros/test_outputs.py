@@ -277,7 +277,12 @@ def test_a_frame_without_a_name_is_told(tf2_msgs: None, settled: None) -> None:
     out = outputs(node)
     out.publish(result(frame_id=""))
     assert node.tf() == {}
-    assert "frame_id is empty" in out.problem
+    assert "frame_id is empty; need frames.camera" in out.problem
+    named = FakeNode("pose", "status")
+    out = outputs(named, **{"frames.camera": "lens"})
+    out.publish(result(frame_id=""))
+    assert named.tf().keys() == {("lens", "a"), ("lens", "b"), ("map", "lens")}
+    assert [named.publishers[topic].sent[0].header.frame_id for topic in ("pose", "status")] == ["lens", "lens"]
 
 
 def test_targets_that_hang_elsewhere_are_told(tf2_msgs: None, settled: None) -> None:
