@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -74,7 +73,10 @@ class ParameterServer:
 
     @property
     def parameters(self) -> Parameters:
-        """The values in force: a new object after every change. `targets` are those of the last `reload`."""
+        """The values in force, another object when, and only when, one has changed.
+
+        `targets` are those of the last `reload`.
+        """
         with self._lock:
             return self._live
 
@@ -134,25 +136,27 @@ class ParameterServer:
 
     def _check(self, changed: list[Parameter]) -> SetParametersResult:
         given = {p.name: p.value for p in changed if p.name in self._values}
+        live, staged = _split(given)
         try:
-            new = self._values | {name: checked_value(name, value) for name, value in given.items()}
-            _, staged = _split(given)
-            live, _ = _split(new)
-            _together(lambda: parameters_from(live), given)
+            for name, value in staged.items():
+                checked_value(name, value)
+            together = _together(lambda: parameters_from(live, self._live), given)
             # Staged values may come one by one; those that come in one call are meant to fit.
             if len(staged) > 1:
-                parameters_from(new)
+                parameters_from(_split(self._values)[1] | staged, together)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _commit(self, changed: list[Parameter]) -> None:
         given = {p.name: p.value for p in changed if p.name in self._values}
+        live, _ = _split(given)
         with self._lock:
             self._values.update({name: checked_value(name, value) for name, value in given.items()})
-            live, _ = _split(self._values)
-            if any(not name.startswith(STAGED) for name in given):
-                self._live = replace(parameters_from(live), targets=self._live.targets)
+            together = parameters_from(live, self._live)
+            # Values that stay the same are no reason to make anything anew.
+            if together != self._live:
+                self._live = together
 
 
 def descriptor(known: Declaration) -> ParameterDescriptor:
@@ -170,7 +174,7 @@ def descriptor(known: Declaration) -> ParameterDescriptor:
             made.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)]
         elif known.type_name == "integer":
             ends = (max(low, -_INT64), min(high, _INT64))
-            made.integer_range = [IntegerRange(from_value=int(ends[0]), to_value=int(ends[1]), step=0)]
+            made.integer_range = [IntegerRange(from_value=int(ends[0]), to_value=int(ends[1]), step=1)]
         else:  # ROS has no range for the elements of a list
             constraints.append(f"each {low:.10g} to {high:.10g}")
     if known.name.startswith(STAGED):
@@ -211,9 +215,9 @@ def _split(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     return live, staged
 
 
-def _together(check: Callable[[], object], given: Mapping[str, object]) -> None:
+def _together(check: Callable[[], Parameters], given: Mapping[str, object]) -> Parameters:
     try:
-        check()
+        return check()
     except ParameterError as error:
         hint = _TOGETHER if len(given) == 1 else ""
         raise ParameterError(f"{error}{hint}") from None

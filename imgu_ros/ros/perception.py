@@ -190,8 +190,9 @@ class PerceptionNode(LifecycleNode):
         names = [target.name for target in self._worker.targets]
         if not self._outputs.serves(names, self._server.parameters):
             try:
-                with self._worker.between_frames():
-                    self._fit_outputs(names)
+                with self._worker.soon_between_frames() as between:
+                    if between:
+                        self._fit_outputs(names)
             except ImguError as error:
                 self._on_failed(f"parameters: {error}")
                 return
@@ -289,7 +290,7 @@ class PerceptionNode(LifecycleNode):
         if last is None or last.developed is None:
             raise ImguError("view: no frame yet; need images, and a listener on any output")
         grey = last.developed.grey
-        self._adopt([TargetImage("view", grey, 0.0)])
+        self._adopt([TargetImage("view", grey, 0.0, last.developed.is_linear)])
         return f"target: view, the frame at {last.frame.stamp_ns} ns, its size unknown; ~/reload brings back the others"
 
     def _pause(self, paused: bool) -> str:

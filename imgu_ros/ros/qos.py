@@ -71,8 +71,8 @@ def no_events() -> PublisherEventCallbacks:
 
 
 def image_qos() -> QoSProfile:
-    """Return the profile of image inputs: sensor data, few kept, since only the newest is used."""
-    return _profile(QoSReliabilityPolicy.BEST_EFFORT, 3)
+    """Return the profile of image inputs: sensor data."""
+    return _profile(QoSReliabilityPolicy.BEST_EFFORT, 5)
 
 
 def camera_info_qos() -> QoSProfile:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +12,10 @@ from imgu_ros.errors import ImguError
 from imgu_ros.params import HomographyParameters, Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+
+#: How long a thread may keep the interpreter while a chain is made, and the longest rest between two of them, s.
+_SWITCH_S = 0.0005
+_LONGEST_REST_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +68,13 @@ class Rebuilder:
         self._tried: Parameters | None = None
         self._done: Built | None = None
         self._thread: threading.Thread | None = None
-        self._closing = False
+        self._closed = threading.Event()
+        self._usual_switch_s = sys.getswitchinterval()
 
     def ask(self, before: Built, parameters: Parameters) -> None:
         """Have a chain made like `before` with other parameters; returns at once, and may be called again and again."""
         with self._lock:
-            if parameters is self._tried or self._closing:
+            if parameters is self._tried or self._closed.is_set():
                 return
             self._wanted = _Order(before, parameters)
             if self._thread is None:
@@ -88,24 +95,36 @@ class Rebuilder:
     def close(self, timeout_s: float) -> bool:
         """End the thread; return whether it has ended in time."""
         with self._lock:
-            self._closing, self._wanted = True, None
+            self._closed.set()
+            self._wanted = None
             thread = self._thread
         if thread is not None:
             thread.join(timeout_s)
         return thread is None or not thread.is_alive()
 
     def _run(self) -> None:
-        while (order := self._next()) is not None:
-            try:
-                built = build(order.before.images, order.parameters, order.before)
-            except ImguError as error:
-                self._failed(f"parameters: {error}; the chain goes on with the old ones")
-            except Exception as error:
-                # Whatever it is, the old chain goes on, and the next parameters may be better.
-                self._failed(f"parameters: {type(error).__name__}: {error}; the chain goes on with the old ones")
-            else:
-                with self._lock:
-                    self._done = built if self._tried is order.parameters else None
+        # Callbacks that bring frames give the interpreter away and want it back many times over.
+        sys.setswitchinterval(_SWITCH_S)
+        try:
+            while (order := self._next()) is not None:
+                start = time.monotonic()
+                self._make(order)
+                # Parameters may change all the time: at least half of it belongs to the frames.
+                self._closed.wait(min(time.monotonic() - start, _LONGEST_REST_S))
+        finally:
+            sys.setswitchinterval(self._usual_switch_s)
+
+    def _make(self, order: _Order) -> None:
+        try:
+            built = build(order.before.images, order.parameters, order.before)
+        except ImguError as error:
+            self._failed(f"parameters: {error}; the chain goes on with the old ones")
+        except Exception as error:
+            # Whatever it is, the old chain goes on, and the next parameters may be better.
+            self._failed(f"parameters: {type(error).__name__}: {error}; the chain goes on with the old ones")
+        else:
+            with self._lock:
+                self._done = built if self._tried is order.parameters else None
 
     def _next(self) -> _Order | None:
         with self._lock:

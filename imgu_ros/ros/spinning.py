@@ -2,7 +2,8 @@
 
 rclpy's executor gathers all that a node waits for before each callback. For a node with parameters, services and a
 lifecycle those are some fifty things, more work than the callbacks themselves at 100 frames a second. Here the
-executor looks at the few that bring frames nearly every time, and at the rest twenty times a second.
+executor looks at the few that bring frames nearly every time, and at the rest twenty times a second, or more often
+while there is more to do.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from rclpy.node import Node
 
 #: How long services, timers and parameters may wait while frames come.
 _REST_PERIOD_S = 0.05
-_MOST_AT_ONCE = 10
+#: While several of them come at a time, so often: a service keeps ten requests, and drops what comes beyond.
+_BUSY_PERIOD_S = 0.01
+_SEVERAL = 2
+_MOST_AT_ONCE = 20
 
 
 class Spinner:
@@ -33,6 +37,7 @@ class Spinner:
         self._all.add_node(node)
         self._frames: _GroupExecutor | None = None
         self._rest_due_s = 0.0
+        self._rest_period_s = _REST_PERIOD_S
 
     def spin_once(self, group: CallbackGroup | None) -> None:
         """Wait for a callback and call it.
@@ -48,11 +53,13 @@ class Spinner:
         if self._frames is None or self._frames.group is not group:
             self._drop_frames()
             self._frames = _GroupExecutor(self._node, group)
-        self._frames.spin_once(timeout_sec=_REST_PERIOD_S)
+        self._frames.spin_once(timeout_sec=self._rest_period_s)
         now = time.monotonic()
         if now >= self._rest_due_s:
-            self._rest_due_s = now + _REST_PERIOD_S
-            self._call_all_ready()
+            busy = self._call_all_ready() >= _SEVERAL
+            # Fewer looks only little by little: what came in a burst may go on.
+            self._rest_period_s = _BUSY_PERIOD_S if busy else min(_REST_PERIOD_S, 1.5 * self._rest_period_s)
+            self._rest_due_s = now + self._rest_period_s
 
     def wake(self) -> None:
         """Let a `spin_once` that waits run Python's signal handlers; from any thread."""
@@ -67,15 +74,24 @@ class Spinner:
         self._all.remove_node(self._node)
         self._all.shutdown(timeout_sec=0)
 
-    def _call_all_ready(self) -> None:
-        """Call what is ready, but not for ever."""
-        for _ in range(_MOST_AT_ONCE):
+    def _call_all_ready(self) -> int:
+        """Call what is ready, but not for ever; return how many callbacks that were."""
+        called = 0
+        while called < _MOST_AT_ONCE:
+            looked = called
             try:
-                handler, _, _ = self._all.wait_for_ready_callbacks(timeout_sec=0)
-            except (TimeoutException, ShutdownException):
-                return
-            handler()
-            handler.result()  # raises what the callback raised
+                # One look finds at most one request of a service.
+                while called < _MOST_AT_ONCE:
+                    handler, _, _ = self._all.wait_for_ready_callbacks(timeout_sec=0)
+                    handler()
+                    handler.result()  # raises what the callback raised
+                    called += 1
+            except TimeoutException:
+                if called == looked:
+                    break
+            except ShutdownException:
+                break
+        return called
 
     def _drop_frames(self) -> None:
         """Forget the executor of the frames' callbacks: it may hold on to a subscription that is to go."""

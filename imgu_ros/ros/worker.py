@@ -23,6 +23,9 @@ from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.rebuilding import Built, Rebuilder, build
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
+#: The worker waits for no longer than this for somebody who wants to come between two frames.
+_LONGEST_HOLD_S = 0.3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Handlers:
@@ -102,6 +105,8 @@ class Worker:
         self._parameters = parameters
         self._handlers = handlers
         self._lock = threading.RLock()
+        self._go_on = threading.Event()
+        self._go_on.set()
         self._built: Built | None = None
         self._rebuilder = Rebuilder(handlers.failed)
         self._last_had_info = False
@@ -193,9 +198,26 @@ class Worker:
         with self._lock:
             yield
 
+    @contextlib.contextmanager
+    def soon_between_frames(self) -> Iterator[bool]:
+        """Hold the worker between two frames if it is there, and give whether it is; it will be when called again soon.
+
+        For a thread that must not wait until a long frame is done.
+        """
+        if not self._lock.acquire(blocking=False):
+            self._go_on.clear()
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            self._lock.release()
+            self._go_on.set()
+
     def close(self, timeout_s: float = 1.0) -> bool:
         """End the thread; return whether it has ended in time. It hands nothing out any more in any case."""
         self._closing = True
+        self._go_on.set()
         self._slot.close()
         rebuilt = self._rebuilder.close(timeout_s)
         self._thread.join(timeout_s)
@@ -203,6 +225,9 @@ class Worker:
 
     def _run(self) -> None:
         while (job := self._slot.take()) is not None:
+            # Somebody may want to come between two frames: not for long.
+            if not self._go_on.wait(_LONGEST_HOLD_S):
+                self._go_on.set()
             try:
                 with self._lock:
                     self._work(job)

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import pytest
 
@@ -12,7 +14,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ParameterError
-from imgu_ros.params import Parameters, declarations
+from imgu_ros.parameter_values import parameter_values, parameters_from
+from imgu_ros.params import Declaration, Parameters, declarations
 from imgu_ros.ros.parameters import ParameterServer
 
 
@@ -67,6 +70,7 @@ def test_every_declaration_is_described(make_node):
             assert described.floating_point_range[0].to_value == (known.maximum or float("inf"))
         if known.type_name == "integer" and known.minimum is not None:
             assert described.integer_range[0].from_value == known.minimum
+            assert described.integer_range[0].step == 1
     # None but these and rclpy's own.
     names = {d.name for d in declarations()}
     assert {n for n in node._parameters if n not in names} <= {"use_sim_time", "start_type_description_service"}
@@ -179,3 +183,50 @@ def test_a_parameter_file_is_read_and_checked(make_node, tmp_path):
     file.write_text("/**: {ros__parameters: {homography: {treshold_px: 2.0}}}\n")
     with pytest.raises(ParameterError, match="nearest known: homography.threshold_px"):
         make_node(arguments=["--params-file", str(file)])
+
+
+def test_the_state_is_always_one_of_the_accepted_sets(make_node):
+    """Random sets, right and wrong, one or several values at a time, against a model."""
+    node = make_node()
+    rng = random.Random(5)
+    known = [d for d in declarations() if not d.read_only and not d.name.startswith("targets.")]
+    model, accepted = Parameters(), 0
+    for _ in range(600):
+        values = {d.name: drawn(d, rng) for d in rng.sample(known, rng.choice((1, 1, 2, 3)))}
+        before = node.server.parameters
+        result = node.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        try:
+            model = parameters_from(values, model)
+        except ParameterError as error:
+            assert not result.successful
+            assert str(error).partition(":")[0] in result.reason  # noqa: PT017
+            assert node.server.parameters is before
+        else:
+            assert result.successful, result.reason
+            accepted += 1
+            assert (node.server.parameters is before) == (model == before)
+        assert node.server.parameters == model
+    assert 150 < accepted < 450
+    for name, value in parameter_values(model).items():
+        held = node.get_parameter(name).value
+        assert (tuple(held) if isinstance(value, tuple) else held) == value, name
+
+
+def drawn(known: Declaration, rng: random.Random) -> Any:
+    """Return a value for a parameter: often right, sometimes too large or of a wrong type."""
+    kind = rng.random()
+    if kind < 0.1:
+        return rng.choice(("no such thing", 2.5, -(2**40), True))
+    element = known.type_name.removesuffix("_array")
+    low = -300 if known.minimum is None else known.minimum
+    high = 300 if known.maximum is None else known.maximum
+
+    def one() -> Any:
+        if known.choices:
+            return rng.choice(known.choices)
+        if element in ("bool", "string"):
+            return rng.random() < 0.5 if element == "bool" else rng.choice(("", "map"))
+        value = rng.uniform(low, high if kind < 0.8 else 3 * high + 10)
+        return round(value) if element == "integer" else value
+
+    return [one() for _ in range(rng.choice((0, 1, 3)))] if element != known.type_name else one()
