@@ -36,7 +36,7 @@ def test_links_lead_somewhere(repository: Path, page: str) -> None:
 
 def test_every_output_topic_is_documented(repository: Path) -> None:
     text = (repository / "docs" / "interfaces.md").read_text()
-    for topic in [*FRAME_OUTPUTS, *TARGET_OUTPUTS]:
+    for topic in [*FRAME_OUTPUTS, *TARGET_OUTPUTS, "map/odom", "map/path"]:
         assert f"`{topic}`" in text, topic
 
 
@@ -58,6 +58,12 @@ def _is_code(repository: Path, name: str) -> bool:
     return (vision / parent / f"{child}.py").exists() or any(
         f"def {child}(" in module.read_text() for module in vision.glob(f"*/{parent}.py")
     )
+
+
+def test_every_launch_file_and_layout_is_documented(repository: Path) -> None:
+    text = (repository / "docs" / "ros.md").read_text()
+    for path in [*(repository / "launch").glob("*.py"), *(repository / "config").glob("perception.*")]:
+        assert f"`{path.relative_to(repository)}`" in text, path
 
 
 def test_every_command_is_documented(repository: Path) -> None:
