@@ -30,6 +30,7 @@ class Kind(StrEnum):
     UNPAIRED = "unpaired"  #: no camera_info has an image's stamp
     NOT_SEEN = "not_seen"
     NO_POSE = "no_pose"  #: a target is seen, and its pose is ambiguous or its size unknown
+    FRAMES = "frames"  #: there are poses, and no place for them among the frames of the map and of /tf
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,8 @@ class Cause:
     text: str
 
 
-#: What every node does for a while, or was asked to do: nobody needs to read of it.
-_NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED))
+#: What every node does for a while, or was asked to do: nobody needs to read of it. And what is logged where it happens.
+_NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED, Kind.FRAMES))
 
 
 class CauseLog:

@@ -35,6 +35,7 @@ class NodeState:
     paused, listened : whether it is paused, and whether anybody listens to an output
     misfits : listeners that cannot be served, for their QoS does not fit
     stopped_clock : that the node's clock stands still; None when it runs
+    frames : what keeps poses from the map or from /tf; empty when nothing does
     """
 
     name: str
@@ -43,6 +44,7 @@ class NodeState:
     listened: bool
     misfits: tuple[Cause, ...] = ()
     stopped_clock: Cause | None = None
+    frames: str = ""
 
 
 def health(state: NodeState, found: Sequence[Cause], source: ImageInput, worker: Worker) -> list[HealthEntry]:
@@ -80,7 +82,8 @@ def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> 
     if on_the_way and on_the_way[0].kind is not Kind.LOST:
         # A player that has not begun sends neither images nor time.
         return [*stopped, *on_the_way, *misfits]
-    return [*_of_frames(node, source, worker, now), *on_the_way, *stopped, *misfits]
+    frames = [Cause(Kind.FRAMES, state.frames)] if state.frames else []
+    return [*_of_frames(node, source, worker, now), *frames, *on_the_way, *stopped, *misfits]
 
 
 def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:

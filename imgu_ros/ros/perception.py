@@ -248,6 +248,7 @@ class PerceptionNode(LifecycleNode):
             listened=outputs is not None and outputs.wanted(),
             misfits=tuple(misfits),
             stopped_clock=stopped_clock,
+            frames="" if outputs is None else outputs.problem,
         )
 
     def _on_reset(self, _: Any, response: Any) -> Any:
