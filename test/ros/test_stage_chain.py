@@ -17,7 +17,7 @@ from imgu_ros.codec.features import decode_estimates, decode_keypoints, decode_t
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
 from imgu_ros.codec.results import FRAME_OUTPUTS, level_message
-from imgu_ros.errors import ImguError
+from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import Parameters
 from imgu_ros.perception.chain import Chain
@@ -218,6 +218,11 @@ def test_other_descriptors_than_the_targets_are_refused() -> None:
     matcher.use(parameters_from({**OFF, "descriptor.kind": "sift"}), images)
     with pytest.raises(ImguError, match="32 x uint8; need 128 x float32"):
         matcher.work(StageJob({"keypoints": six.known["keypoints"]}, None, 0.0), Told(matcher))  # type: ignore[arg-type]
+
+
+def test_guided_matching_is_refused_where_there_are_no_descriptors() -> None:
+    with pytest.raises(ParameterError, match=r"matching\.guided: true; need false"):
+        HomographyStage().use(parameters_from({"matching.guided": True}), [])
 
 
 def test_lost_targets_are_told_too() -> None:

@@ -14,6 +14,8 @@ from numpy.testing import assert_allclose
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
 import cv2
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import SetBool, Trigger
 
 from imgu_ros.codec.camera_info import camera_info_message
@@ -37,6 +39,8 @@ POLYGON = "geometry_msgs/msg/PolygonStamped"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
+DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
 
 STAGES = ("demosaic", "pyramid", "features", "matcher", "homography", "pose")
 OFF = {"tracking.enabled": False, "refinement.enabled": False, "search.thorough": False}
@@ -195,11 +199,10 @@ def test_a_stage_says_what_it_lacks_and_obeys_its_services(imgu, world, peer, pr
     clouds = peer.publisher("/keypoints", CLOUD)
     wrong = make_message(CLOUD)
     peer.wait(lambda: says("rejected: point cloud"), "the reason", again=lambda: clouds.publish(wrong))
+    for round_trip in range(3):
+        for transition in (DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert peer.call(ChangeState, "/matcher/change_state", request).success, (round_trip, transition)
+    peer.wait(lambda: says("rejected: point cloud"), "the reason, again", again=lambda: clouds.publish(wrong))
     assert node.stop() < prompt_s
     assert node.process.returncode == 0, node.text
-
-
-def test_guided_matching_needs_descriptors(imgu, world):
-    guided = imgu("node", "homography", *world.arguments, "-p", "matching.guided:=true")
-    assert guided.wait() == 1
-    assert "matching.guided: true; need false" in guided.text
