@@ -41,7 +41,7 @@ class Cause:
     text: str
 
 
-#: What every node does for a while, or was asked to do: nobody needs to read of it. And what is logged where it happens.
+#: What every node does for a while, or was asked to do; and what is logged where it happens.
 _NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED, Kind.FRAMES))
 
 
