@@ -21,9 +21,13 @@ class Header:
 
 
 def decode_header(message: Any) -> Header:
-    """Read the header of `message` (any message with a `header` field)."""
+    """Read the header of `message` (any message with a `header` field).
+
+    A part of a second that is a second and more, which no clock gives, counts as the second's last nanosecond.
+    """
     stamp = message.header.stamp
-    return Header(int(stamp.sec) * _SECOND_NS + int(stamp.nanosec), str(message.header.frame_id))
+    part_ns = min(int(stamp.nanosec), _SECOND_NS - 1)
+    return Header(int(stamp.sec) * _SECOND_NS + part_ns, str(message.header.frame_id))
 
 
 def header_message(make: MessageFactory, header: Header) -> Any:

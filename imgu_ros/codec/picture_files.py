@@ -19,6 +19,9 @@ from imgu_ros.errors import EncodingError
 
 #: More pixels than any sensor has: 16384 x 16384.
 MAX_PIXELS = 2**28
+#: Pictures larger than these have more in them than a few bytes tell: a JPEG of one colour has 85 px for each byte.
+_FREE_PIXELS = 2**25
+_MOST_PIXELS_PER_BYTE = 200
 
 
 class FileKind(StrEnum):
@@ -34,7 +37,8 @@ def check_picture_file(data: NDArray[np.uint8]) -> FileKind:
     Raises
     ------
     EncodingError
-        If it is neither, has no pixels or more than `MAX_PIXELS`, is cut, or (PNG) fails a checksum.
+        If it is neither, has no pixels or more than `MAX_PIXELS`, is cut, (PNG) fails a checksum, or is so much smaller
+        than the picture it claims to hold that it was made to fill the memory.
     """
     content = data.tobytes()
     for kind, magic in _MAGIC.items():
@@ -42,6 +46,9 @@ def check_picture_file(data: NDArray[np.uint8]) -> FileKind:
             width, height = _CHECKS[kind](content)
             if width == 0 or height == 0 or width * height > MAX_PIXELS:
                 raise EncodingError(f"{width} x {height} px; need 1 to {MAX_PIXELS} pixels")
+            if width * height > max(_FREE_PIXELS, _MOST_PIXELS_PER_BYTE * len(content)):
+                need = f"at most {_MOST_PIXELS_PER_BYTE} px for each byte above {_FREE_PIXELS} px"
+                raise EncodingError(f"{width} x {height} px in {len(content)} bytes; need {need}")
             return kind
     start = content[:8].hex(" ") or "nothing"
     raise EncodingError(f"{len(content)} bytes that begin with {start}; need JPEG (ff d8 ff) or PNG (89 50 4e 47)")

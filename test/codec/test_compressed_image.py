@@ -242,3 +242,14 @@ def test_nothing_is_printed_about_damaged_data(tmp_path):
 def test_unknown_file_format(make):
     with pytest.raises(EncodingError, match="file_format: 'webp'; need jpeg or png"):
         compressed_image_message(make, HEADER, np.zeros((4, 4), np.uint8), "mono8", file_format="webp")
+
+
+def test_a_picture_made_to_fill_the_memory_is_refused_before_it_is_decoded(make):
+    """16000 x 16000 pixels of nothing in a few kilobytes; a small picture of nothing is a lens cap."""
+
+    def said(height: int, width: int) -> bytes:
+        return hand_made_png(np.zeros((height, width), np.uint8))
+
+    with pytest.raises(EncodingError, match=r"16000 x 16000 px in \d+ bytes; need at most 200 px for each byte"):
+        decode_compressed_image(compressed(make, hand_made_png(np.zeros((9, 9), np.uint8), (16_000, 16_000)), "png"))
+    assert decode_compressed_image(compressed(make, said(1500, 2000), "png")).pixels.shape == (1500, 2000)

@@ -1,0 +1,291 @@
+"""Frames made to break a node, over the wire: it lives, says why it rejects them, and the next good one gives a pose.
+
+    python benchmarks/hostile_frames.py --messages 10000 --out hostile.json
+
+Half of the messages are sensor_msgs/Image, half CompressedImage, each kind to a node of its own, with camera_info that
+lies as well: sizes, row lengths, encodings, stamps, cut and damaged files, pictures that fill the memory, calibrations
+that are no numbers. Every so often a good frame follows. Prints what became of them as JSON; exits 1 when a node ended,
+complained of an error of its own, rejected without a reason, or gave no pose for a good frame. Needs the `ros` extra.
+"""
+
+from __future__ import annotations
+
+import argparse
+import array
+import json
+import os
+import random
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import zlib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from imgu_ros.files.images import write_image
+from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
+
+_SIZES = (0, 1, 2, 3, 31, 64, 65, 4096, 65_535, 2**31 - 1, 2**31, 2**32 - 1)
+_ENCODINGS = ("mono8", "rgb8", "bgr16", "bayer_rggb8", "bayer_gbrg16", "32FC1", "64FC3", "8UC7", "yuv422", "uyvy", "",
+              "nv12", "rgb", "16UC99999", "x" * 500, "8UC0", "ünïcode")  # fmt: skip
+_FORMATS = ("jpeg", "png", "", "rgb8; jpeg compressed bgr8", "bayer_rggb8; png compressed", "16UC1; compressedDepth",
+            "; ;", "x" * 300)  # fmt: skip
+_NUMBERS = (0.0, -1.0, 1e-300, 1e300, float("nan"), float("inf"), -float("inf"), 500.0)
+_MODELS = ("plumb_bob", "rational_polynomial", "equidistant", "", "fisheye", "x" * 200)
+_TRANSPORTS = ("raw", "compressed")
+
+
+def main() -> int:
+    """Run it; return the exit code."""
+    arguments = _arguments()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", "78")
+    with tempfile.TemporaryDirectory(prefix="imgu_hostile_") as folder:
+        figures = {transport: Trial(Path(folder), transport, arguments).run() for transport in _TRANSPORTS}
+    text = json.dumps(figures | {"ok": all(f["ok"] for f in figures.values())}, indent=2)
+    print(text)
+    if arguments.out:
+        Path(arguments.out).write_text(text + "\n", encoding="utf-8")
+    return 0 if all(f["ok"] for f in figures.values()) else 1
+
+
+class Trial:
+    """A node with one transport, and what is sent to it."""
+
+    def __init__(self, folder: Path, transport: str, arguments: argparse.Namespace) -> None:
+        self._transport, self._arguments = transport, arguments
+        self._rng = random.Random(arguments.seed)
+        target = default_targets(1)[0]
+        write_image(folder / "poster.png", target.pixels)
+        self._target = folder / "poster.png"
+        self._good = next(iter(simulate_sequence(Simulation(width=320, height=240, frames=1)))).frame
+        self._statuses: list[Any] = []
+        self._poses: list[Any] = []
+        self._lines: list[str] = []
+
+    def run(self) -> dict[str, Any]:
+        """Send everything; return what became of it."""
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import PoseWithCovarianceStamped
+        from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+        from imgu_ros.ros.qos import output_qos
+
+        process = self._start()
+        context = rclpy.Context()
+        rclpy.init(args=[], context=context)
+        self._node = node = rclpy.create_node("sender", context=context, enable_rosout=False)
+        self._executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        self._executor.add_node(node)
+        kind, topic = (Image, "image_raw") if self._transport == "raw" else (CompressedImage, "image_raw/compressed")
+        self._images = node.create_publisher(kind, topic, output_qos(20))
+        self._infos = node.create_publisher(CameraInfo, "camera_info", output_qos(20))
+        node.create_subscription(DiagnosticArray, "/status", self._statuses.append, 1000)
+        node.create_subscription(PoseWithCovarianceStamped, "/pose", self._poses.append, 100)
+        try:
+            self._wait(lambda: self._images.get_subscription_count() and self._infos.get_subscription_count(), 90)
+            self._wait(lambda: node.count_publishers("/pose") and node.count_publishers("/status"), 20)
+            answered = [self._good_frame()]
+            before = _resident_mb(process.pid)
+            largest = before
+            for number in range(self._arguments.messages // 2):
+                self._infos.publish(self._bad_info(CameraInfo()))
+                self._images.publish(self._bad_image(kind()))
+                self._spin(1 / self._arguments.rate)
+                if number % 500 == 499:
+                    answered.append(self._good_frame())
+                    largest = max(largest, _resident_mb(process.pid))
+            answered.append(self._good_frame())
+            after = _resident_mb(process.pid)
+            lived = process.poll() is None
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(10)
+            finally:
+                if process.poll() is None:
+                    process.kill()
+                self._executor.shutdown()
+                context.try_shutdown()
+        reasons = Counter(s.message.split(":")[1].strip() for m in self._statuses for s in m.status
+                          if s.message.startswith("rejected:"))  # fmt: skip
+        silent = sum(s.message == "rejected" for m in self._statuses for s in m.status)
+        errors = [line for line in self._lines if "[ERROR]" in line or "Traceback" in line]
+        good = sum(took is not None for took in answered)
+        return {
+            "sent": self._arguments.messages // 2, "statuses": len(self._statuses), "rejected": sum(reasons.values()),
+            "reasons": dict(reasons), "rejected_without_reason": silent, "good_frames": len(answered),
+            "good_frames_with_pose": good,
+            "slowest_answer_s": max((took for took in answered if took is not None), default=None),
+            "memory_before_mb": before, "memory_largest_mb": largest, "memory_after_mb": after, "node_lived": lived,
+            "errors": errors[:5], "exit_code": process.returncode,
+            "ok": lived and good == len(answered) and not silent and not errors and bool(reasons),
+        }  # fmt: skip
+
+    def _start(self) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "imgu_ros.cli.main", "node", "perception", "-p", f"targets.images:=[{self._target}]",
+             "-p", "targets.widths_m:=[0.5]", "-p", f"image_transport:={self._transport}"],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=Path(__file__).resolve().parents[1],
+        )  # fmt: skip
+        out = process.stdout
+        assert out is not None
+        threading.Thread(target=lambda: self._lines.extend(iter(out.readline, "")), daemon=True).start()
+        return process
+
+    def _good_frame(self) -> float | None:
+        """Send a good frame until its pose comes; return how long that took, None when none came."""
+        from imgu_ros.codec.camera_info import camera_info_message
+        from imgu_ros.codec.compressed_image import compressed_image_message
+        from imgu_ros.codec.header import Header
+        from imgu_ros.codec.image import image_message
+        from imgu_ros.ros.messages import make_message
+
+        pixels, camera = self._good.image.pixels, self._good.camera
+        assert camera is not None
+        start = time.monotonic()
+        while time.monotonic() < start + 30:
+            header = Header(time.time_ns(), "camera")
+            self._infos.publish(camera_info_message(make_message, header, camera))
+            if self._transport == "raw":
+                self._images.publish(image_message(make_message, header, pixels, "bayer_rggb8"))
+            else:
+                message = compressed_image_message(make_message, header, pixels, "bayer_rggb8", file_format="png")
+                self._images.publish(message)
+            before = len(self._poses)
+            if self._wait(lambda before=before: len(self._poses) > before, 1.0):
+                return time.monotonic() - start
+        return None
+
+    def _wait(self, condition: Any, timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.02)
+        return True
+
+    def _spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def _header(self, message: Any) -> None:
+        rng = self._rng
+        # Most lie about something else.
+        if rng.random() < 0.2:
+            message.header.stamp.sec = rng.choice((0, -(2**31), 2**31 - 1, 5))
+            message.header.stamp.nanosec = rng.choice((0, 2**32 - 1))
+        else:
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
+        message.header.frame_id = rng.choice(("camera", "", "/a b", "x" * 1000, "ü"))
+
+    def _bad_info(self, info: Any) -> Any:
+        rng = self._rng
+        self._header(info)
+        camera = self._good.camera
+        assert camera is not None
+        info.width, info.height = (320, 240) if rng.random() < 0.5 else (rng.choice(_SIZES), rng.choice(_SIZES))
+        k = camera.K.ravel().copy()
+        for _ in range(rng.choice((0, 1, 3))):
+            k[rng.randrange(9)] = rng.choice(_NUMBERS)
+        info.k = k
+        info.d = array.array("d", [rng.choice(_NUMBERS) for _ in range(rng.choice((0, 4, 5, 8, 14, 300)))])
+        info.distortion_model = rng.choice(_MODELS)
+        if rng.random() < 0.2:
+            info.binning_x, info.roi.width, info.roi.x_offset = (rng.choice(_SIZES) for _ in range(3))
+        return info
+
+    def _bad_image(self, message: Any) -> Any:
+        self._header(message)
+        if self._transport == "compressed":
+            message.format = self._rng.choice(_FORMATS)
+            data = bad_file(self._rng)
+        else:
+            data = self._fill(message)
+        content = array.array("B")
+        content.frombytes(data)
+        message.data = content
+        return message
+
+    def _fill(self, image: Any) -> bytes:
+        """Write the fields of an image that lies, or holds noise; return its data."""
+        rng = self._rng
+        image.encoding = rng.choice(_ENCODINGS)
+        image.width, image.height = rng.choice(_SIZES), rng.choice(_SIZES)
+        image.step = rng.choice((*_SIZES, min(2**32 - 1, image.width), min(2**32 - 1, 3 * image.width)))
+        image.is_bigendian = rng.choice((0, 1, 255))
+        size = rng.choice((0, 1, 100, 4096, 60_000))
+        if rng.random() < 0.2:
+            image.encoding, image.width, image.height, image.step, size = "mono8", 240, 200, 240, 48_000
+        return rng.randbytes(size)
+
+
+def bad_file(rng: random.Random) -> bytes:
+    """Return a picture file that is cut, damaged, of noise, or a few bytes that claim to be very large."""
+    noise = np.frombuffer(rng.randbytes(64 * 48 * 3), np.uint8).reshape(48, 64, 3)
+    _, encoded = cv2.imencode(rng.choice((".png", ".jpg")), noise)
+    data = bytearray(encoded.tobytes())
+    kind = rng.randrange(6)
+    if kind == 0:
+        return bytes(data[: rng.randrange(len(data))])
+    if kind == 1:
+        for _ in range(rng.choice((1, 10, 100))):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        return bytes(data)
+    if kind == 2:
+        return rng.randbytes(rng.choice((0, 3, 50, 5000)))
+    if kind == 3:
+        return png(rng.choice((1, 20_000, 2**31 - 1)), rng.choice((1, 20_000, 2**31 - 1)), b"\0" * 100)
+    if kind == 4 and rng.random() < 0.1:
+        # It is what it says: 16000 x 16000 pixels of nothing, in a quarter of a megabyte.
+        return _BOMB or _make_bomb()
+    return bytes(data)
+
+
+def png(width: int, height: int, content: bytes) -> bytes:
+    """Return a PNG file whose header says what it likes."""
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(content)) + chunk(b"IEND", b"")
+
+
+_BOMB = b""
+
+
+def _make_bomb() -> bytes:
+    global _BOMB
+    _BOMB = png(16_000, 16_000, bytes(16_001 * 16_000))
+    return _BOMB
+
+
+def _resident_mb(pid: int) -> float:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return round(next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024, 1)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--messages", type=int, default=10_000)
+    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="messages a second")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", metavar="FILE")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

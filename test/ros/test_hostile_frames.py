@@ -1,0 +1,25 @@
+"""Some hostile frames over the wire; benchmarks/hostile_frames.py sends ten thousand."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+
+def test_the_node_lives_says_why_and_sees_the_next_good_frame(environment, repository):
+    done = subprocess.run(
+        [sys.executable, "benchmarks/hostile_frames.py", "--messages", "300", "--seed", "1"],
+        cwd=repository, env=environment, capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    assert done.stdout.startswith("{"), done.stderr
+    figures = json.loads(done.stdout)
+    assert figures.pop("ok"), figures
+    for transport, said in figures.items():
+        assert said["good_frames"] == said["good_frames_with_pose"] == 2, transport
+        assert {"raw": "encoding", "compressed": "compressed image"}[transport] in said["reasons"]
+        assert "camera_info" in said["reasons"]
