@@ -307,3 +307,39 @@ def test_a_reset_begins_paths_anew(tf2_msgs: None, settled: None) -> None:
     out.publish(result(3 * SECOND))
     for topic in ("path", "map/path"):
         assert [len(path.poses) for path in node.publishers[topic].sent] == [1, 2, 1]
+
+
+def test_outputs_adapt_and_keep_their_listeners(tf2_msgs: None, settled: None) -> None:
+    node = FakeNode("pose", "path")
+    out = outputs(node)
+    kept = {topic: node.publishers[topic] for topic in ("pose", "path", "map/odom", "/tf", "image_color/compressed")}
+    out.publish(result(SECOND))
+    numbers = [float(value) for place in PLACES for value in place.numbers()]
+    given = {
+        "targets.images": ["a.png", "b.png"], "targets.widths_m": [0.5, 0.5], "targets.poses": numbers,
+        "publish_tf": True, "pyramid.levels": 2, "compressed.format": "png",
+    }  # fmt: skip
+    assert not out.serves(["a", "b"], parameters_from(given))
+    out.adapt(["a", "b"], parameters_from(given))
+    assert out.serves(["a", "b"], parameters_from(given))
+    assert {topic: node.publishers[topic] for topic in kept} == kept
+    assert "pyramid/level_2" not in node.publishers
+    out.publish(result(3 * SECOND))
+    assert [len(path.poses) for path in node.publishers["path"].sent] == [1, 2], "paths go on"
+
+    # Without places there is no map; what cannot be changes nothing.
+    out.adapt(
+        ["b"], parameters_from(given | {"targets.images": ["b.png"], "targets.widths_m": [0.5], "targets.poses": []})
+    )
+    assert "map/odom" not in node.publishers
+    assert "targets/a/pose" not in node.publishers
+    assert not node.callbacks
+    before = dict(node.publishers)
+    with pytest.raises(ImguError, match="quaternion"):
+        out.adapt(
+            ["b"],
+            parameters_from(
+                given | {"targets.images": ["b.png"], "targets.widths_m": [0.5], "targets.poses": [0.0] * 7}
+            ),
+        )
+    assert node.publishers == before
