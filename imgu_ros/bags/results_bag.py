@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -11,11 +12,14 @@ from typing import Any
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.recorded_topics import FRAME_TOPICS, TARGET_TOPICS, checked_record, pyramid_level
 from imgu_ros.bags.writing import BagWriter
-from imgu_ros.codec.geometry import PathHistory
-from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS, level_message, picture_message
+from imgu_ros.codec.geometry import PathHistory, odometry_message
+from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS, level_message, picture_message, result_header
+from imgu_ros.errors import EstimationError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.map_pose import camera_in_map
 from imgu_ros.perception.result import Result, TargetResult
 from imgu_ros.report.overlay import draw_result
+from imgu_ros.vision.camera.rigid import rigid_transforms
 
 
 class ResultsBag:
@@ -24,7 +28,7 @@ class ResultsBag:
     Parameters
     ----------
     path : the bag's folder
-    parameters : frames of the targets, length of a path
+    parameters : names of frames, length of a path, and the targets' places in the map
     targets : names, the first one's topics appear without a prefix too
     record : topics to record beside those that always are
     """
@@ -36,6 +40,10 @@ class ResultsBag:
         self._paths = {
             name: PathHistory(make_message, self._prefix + name, parameters.path.max_length) for name in targets
         }
+        self._map_from_target = rigid_transforms(parameters.targets.poses, "targets.poses")
+        self._widths_m = parameters.targets.widths_m
+        self._map_frame = parameters.frames.map
+        self._map_path = PathHistory(make_message, self._map_frame, parameters.path.max_length)
         self._writer = BagWriter(path)
 
     def __enter__(self) -> ResultsBag:
@@ -61,6 +69,19 @@ class ResultsBag:
             if "path" in self._record and target.pose is not None:
                 path = self._paths[target.name].add(result.frame.stamp_ns, target.pose)
                 self._write_target("path", target, path, time_ns)
+        if self._map_from_target:
+            self._write_in_map(result, time_ns)
+
+    def _write_in_map(self, result: Result, time_ns: int) -> None:
+        with suppress(EstimationError):  # targets that contradict each other beyond measure: no place in the map
+            fused = camera_in_map(result, self._map_from_target, self._widths_m)
+            if fused is None:
+                return
+            camera_from_map = fused.pose.inverse()
+            message = odometry_message(make_message, result_header(result), self._map_frame, camera_from_map)
+            self._write("map/odom", message, time_ns)
+            if "path" in self._record:
+                self._write("map/path", self._map_path.add(result.frame.stamp_ns, camera_from_map), time_ns)
 
     def _write_target(self, topic: str, target: TargetResult, message: Any | None, time_ns: int) -> None:
         unprefixed = (f"/{topic}",) if target.index == 0 else ()
