@@ -177,12 +177,12 @@ def _write_side_files(out: Path, targets: Sequence[TargetImage], sensor: Sensor 
             "names": [target.name for target in targets],
         }
     }
-    raw: dict[str, object] = {}
+    # A simulated sensor has no transfer function, also when it gives colours.
+    raw: dict[str, object] = {"transfer": "linear"}
     if sensor is None or sensor.bits > 8:
         raw["significant_bits"] = 16 if sensor is None else sensor.bits
     if sensor is not None and sensor.black_level_dn:
         raw["black_level"] = float(sensor.black_level_dn)
-    if raw:
-        values["raw"] = raw
+    values["raw"] = raw
     text = yaml.safe_dump({"/**": {"ros__parameters": values}}, sort_keys=False, allow_unicode=True)
     write_text(out / PARAMETER_FILE, text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     frame = _frame(arguments)
     if arguments.warp:
         _check_warp(arguments.warp, frame)
-    result = Chain(parameters, targets).process(frame)
+    result = Chain(_with_transfer(parameters, frame), targets).process(frame)
     found = result.targets[0]
     print(described(result))
     if arguments.json:
@@ -193,6 +194,16 @@ def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Param
     return parameters_from(
         {**values, "targets.images": [str(arguments.target)], "targets.widths_m": [width]}, parameters
     )
+
+
+def _with_transfer(parameters: Parameters, frame: Frame) -> Parameters:
+    """Return the parameters with sRGB for an 8-bit image file that is no mosaic, unless they say another transfer."""
+    from imgu_ros.vision.formation.layout import ColorModel
+
+    image = frame.image
+    if parameters.raw.transfer != "auto" or image.layout.color is ColorModel.BAYER or image.pixels.dtype != "uint8":
+        return parameters
+    return replace(parameters, raw=replace(parameters.raw, transfer="srgb"))
 
 
 def _frame(arguments: argparse.Namespace) -> Frame:

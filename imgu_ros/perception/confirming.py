@@ -8,6 +8,7 @@ cell by cell, as far as it is in view.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ import numpy as np
 
 from imgu_ros.errors import NoConsensus
 from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.targets import Target
+from imgu_ros.perception.targets import AlignmentLevel, Target
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 
@@ -91,7 +92,8 @@ def confirmed_share(
     in_view = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
     area = _median_area(corners.reshape(rows + 1, columns + 1, 2)) / n**2
     seen = _seen(pictures, H @ A, camera, size, area)
-    return _alike(_drawn(target, A, size), seen, in_view.ravel(), comparison)
+    octaves = target.octaves(pictures.is_linear)
+    return _alike(_drawn(octaves, A, size), seen, in_view.ravel(), comparison)
 
 
 def _window_in_view(pictures: Pictures, H: Matrix3, camera: Camera | None, width: int, height: int) -> Points | None:
@@ -125,10 +127,10 @@ def _median_area(corners: Floats) -> float:
     return float(np.median(np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])))
 
 
-def _drawn(target: Target, A: Matrix3, size: tuple[int, int]) -> Image:
+def _drawn(octaves: Sequence[AlignmentLevel], A: Matrix3, size: tuple[int, int]) -> Image:
     """Return the target at the samples, from the level whose pixels are about as far apart."""
-    scales = np.array([octave.level.scale for octave in target.alignment])
-    level = target.alignment[int(np.argmin(np.abs(np.log(scales / math.sqrt(A[0, 0] * A[1, 1])))))].level
+    scales = np.array([octave.level.scale for octave in octaves])
+    level = octaves[int(np.argmin(np.abs(np.log(scales / math.sqrt(A[0, 0] * A[1, 1])))))].level
     M = np.diag((*(1 / level.step), 1.0)) @ A
     M[:2, 2] += 0.5 / level.step - 0.5
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

@@ -81,6 +81,13 @@ class Developed:
         return height, width
 
     @property
+    def is_linear(self) -> bool:
+        """Whether the grey values go with the light, as `raw.transfer` says."""
+        if self._raw.transfer == "auto":
+            return self._layout.color in (ColorModel.BAYER, ColorModel.MONO, ColorModel.BANDS)
+        return self._raw.transfer == "linear"
+
+    @property
     def grey(self) -> Image:
         """The grey picture at full resolution, (H, W) uint8."""
         if self._grey is None:

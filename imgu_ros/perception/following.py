@@ -127,7 +127,7 @@ def follow_patches(
         If too few patches are in view, are found or agree.
     """
     reduced = Reduction(0.5**halvings)
-    bank = fitting_bank(target, H, reduced.scale, effort.window_px)
+    bank = fitting_bank(target, pictures.is_linear, H, reduced.scale, effort.window_px)
     picture_from_bank = reduced.matrix @ H @ bank.template_from_bank
     shape = (pictures.shape[0] >> halvings, pictures.shape[1] >> halvings)
     seen_at = in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort.window_px, effort.most)

@@ -78,14 +78,28 @@ class Reduction:
         return self.to_picture(xy @ square.T + K[:2, 2]), square @ by_xy @ inverse
 
 
-def fitting_bank(target: Target, H: Matrix3, scale: float, window_px: int) -> Bank:
-    """Return the patches of the octave whose pixels come out nearest in size to the picture's."""
+def fitting_bank(target: Target, linear: bool, H: Matrix3, scale: float, window_px: int) -> Bank:
+    """Return the patches of the octave whose pixels come out nearest in size to the picture's.
+
+    Parameters
+    ----------
+    target : the target
+    linear : whether the picture's values go with the light
+    H : H_image_template
+    scale : of the picture, 1: full resolution
+    window_px : side of a patch
+
+    Raises
+    ------
+    NoConsensus
+        If no octave has a patch.
+    """
     width, height = target.size
     pixels = math.sqrt(area_factor(H, ((width - 1) / 2, (height - 1) / 2))) * scale
-    octaves = [a for a in target.alignment if len(a.corners)]
-    if not octaves:
+    nearest = sorted(target.octaves(linear), key=lambda octave: abs(math.log(octave.level.scale * max(pixels, 1e-9))))
+    best = next((octave for octave in nearest if len(octave.corners)), None)
+    if best is None:
         raise NoConsensus("patches: the target has none; need texture")
-    best = min(octaves, key=lambda octave: abs(math.log(octave.level.scale * max(pixels, 1e-9))))
     return Bank(best.patches(window_px), best.level.step)
 
 

@@ -30,6 +30,11 @@ class Pictures:
         return self._developed.shape
 
     @property
+    def is_linear(self) -> bool:
+        """Whether the values go with the light; else they are those of sRGB."""
+        return self._developed.is_linear
+
+    @property
     def most_halvings(self) -> int:
         """How often the picture can be halved and still shows something."""
         return most_halvings(self.shape)

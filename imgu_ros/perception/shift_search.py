@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -41,7 +42,7 @@ def shifted_homography(
     NoConsensus
         If nothing in reach looks like the target.
     """
-    octave = _small(target)
+    octave = _small(target.octaves(pictures.is_linear))
     image = octave.level.image
     height, width = image.shape
     sx, sy = octave.level.step
@@ -79,10 +80,10 @@ def shifted_homography(
     return np.asarray(frame_from_octave @ shift @ np.linalg.inv(template_from_octave), np.float64)
 
 
-def _small(target: Target) -> AlignmentLevel:
+def _small(octaves: Sequence[AlignmentLevel]) -> AlignmentLevel:
     """Return the octave whose shorter side is nearest to the one that is compared."""
 
     def off(octave: AlignmentLevel) -> float:
         return abs(math.log(min(octave.level.image.shape) / _SIDE_PX))
 
-    return min(target.alignment, key=off)
+    return min(octaves, key=off)

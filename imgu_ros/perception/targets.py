@@ -21,6 +21,7 @@ from imgu_ros.perception.target_features import (
     thorough_features,
 )
 from imgu_ros.types import Floats, Image, Matrix3, Points
+from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
@@ -39,11 +40,13 @@ class TargetImage:
     name : in topics, files and frames
     pixels : (H, W) or (H, W, 3) RGB, uint8
     width_m : printed width, outer edge to outer edge; 0: unknown
+    is_linear : whether values go with the light, as a sensor's; else they are sRGB, as those of image files
     """
 
     name: str
     pixels: Image
     width_m: float
+    is_linear: bool = False
 
 
 class AlignmentLevel:
@@ -79,6 +82,33 @@ class AlignmentLevel:
         return self._patches[window_px]
 
 
+class AlignmentPictures:
+    """A target's picture at every octave, as frames show it; made when first asked for.
+
+    Parameters
+    ----------
+    image : the picture
+    parameters : all parameters
+    """
+
+    def __init__(self, image: TargetImage, parameters: Parameters) -> None:
+        self._image = image
+        self._parameters = parameters
+        self._made: dict[bool, tuple[AlignmentLevel, ...]] = {}
+
+    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
+        """Return the octaves, from fine to coarse, with values that go with the light, or those of sRGB."""
+        if linear not in self._made:
+            p, pixels = self._parameters, self._image.pixels
+            if linear != self._image.is_linear:
+                pixels = linear_from_srgb(pixels) if linear else srgb_from_linear(pixels)
+            made = build_pyramid(
+                _grey(pixels, p), PyramidKind.COARSE, levels=8, min_side_px=24, kernel=p.pyramid.kernel
+            )
+            self._made[linear] = tuple(AlignmentLevel(level, p.refinement.max_points) for level in made.levels)
+        return self._made[linear]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
     """A target, ready for the chain.
@@ -89,7 +119,7 @@ class Target:
     grey : (H, W) uint8
     features : keypoints and descriptors at every scale
     close, thorough : those for the search of a target that is near, and for a thorough search
-    alignment : octaves from fine to coarse
+    pictures : for alignment
     """
 
     name: str
@@ -98,7 +128,7 @@ class Target:
     features: TargetFeatures
     close: FeaturesOnDemand
     thorough: FeaturesOnDemand
-    alignment: tuple[AlignmentLevel, ...]
+    pictures: AlignmentPictures
 
     @property
     def size(self) -> tuple[int, int]:
@@ -122,8 +152,12 @@ class Target:
 
     def prepare(self) -> None:
         """Make what the first frame that shows another octave of the target would have to wait for."""
-        for octave in self.alignment:
+        for octave in self.octaves(linear=True):
             _ = octave.corners
+
+    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
+        """Return the octaves, from fine to coarse, as frames show them whose values go with the light, or are sRGB."""
+        return self.pictures.octaves(linear)
 
     def to_metres(self, template_xy: Points) -> Points:
         """Map template px (N, 2) to the target's plane, metres, origin at the centre, y up."""
@@ -151,7 +185,7 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
     pixels = image.pixels
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ShapeError(f"target {image.name}: shape {pixels.shape} {pixels.dtype}; need (H, W) or (H, W, 3) uint8")
-    grey = np.ascontiguousarray(pixels) if pixels.ndim == 2 else grey_of(pixels, parameters.raw.grey_weights)
+    grey = _grey(pixels, parameters)
     features = target_features(grey, parameters)
     count = len(features.described.keypoints)
     if count < parameters.homography.min_inliers:
@@ -159,8 +193,6 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
             f"target {image.name}: {count} keypoints; need at least {parameters.homography.min_inliers}: a picture "
             "with texture, and not too small"
         )
-    octaves = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=parameters.pyramid.kernel)
-    count = parameters.refinement.max_points
     return Target(
         image.name,
         image.width_m,
@@ -168,8 +200,12 @@ def _prepared(image: TargetImage, parameters: Parameters) -> Target:
         features,
         FeaturesOnDemand(partial(close_features, grey, parameters)),
         FeaturesOnDemand(partial(thorough_features, grey, parameters)),
-        tuple(AlignmentLevel(level, count) for level in octaves.levels),
+        AlignmentPictures(image, parameters),
     )
+
+
+def _grey(pixels: Image, parameters: Parameters) -> Image:
+    return np.ascontiguousarray(pixels) if pixels.ndim == 2 else grey_of(pixels, parameters.raw.grey_weights)
 
 
 @cache

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image, Matrix3, as_image
+from imgu_ros.vision.formation.transfer import light_of_srgb
 
 #: Level planes: red, green, blue, and their luminance.
 PLANES = ("r", "g", "b", "y")
@@ -80,6 +81,4 @@ class Levels:
 
 
 def _linear_from_srgb() -> Image:
-    """Return the (256,) float32 table of IEC 61966-2-1."""
-    v = np.arange(256) / 255
-    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return light_of_srgb().astype(np.float32)

@@ -25,6 +25,8 @@ from imgu_ros.vision.projective.increments import PlaneMotion
 
 #: Grey levels (standard deviation) below which a patch has no contrast.
 FLAT = 0.5
+#: Interpolation mixes pixels of the picture: two patches share noise a little beyond the samples that they share.
+_SAMPLED_BEYOND_PX = 1
 #: Of a patch's contrast, in grey levels times pixels, what must be seen again.
 _LEAST_EXPLAINED = 1e-3
 #: Coordinates beyond this are no places in a picture; `remap` takes 16-bit ones, and pictures of no more pixels.
@@ -219,9 +221,9 @@ class Patches:
 
     @property
     def overlap(self) -> Floats:
-        """The share of its pixels that each patch shares with each other one, (N, N); worked out once."""
+        """The share of its pixels' noise that each patch shares with each other one, (N, N); worked out once."""
         if self._overlap is None:
-            self._overlap = window_correlation(self.centres, self._side)
+            self._overlap = window_correlation(self.centres, self._side + _SAMPLED_BEYOND_PX)
         return self._overlap
 
     def motions(self, affine: bool) -> PlaneMotion:

@@ -16,6 +16,7 @@ from imgu_ros.vision.formation.optics import (
 from imgu_ros.vision.formation.pixel_array import PixelArray
 from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 from imgu_ros.vision.formation.shutter import Exposure, motion_kernel, rolling_shutter_points, row_times
+from imgu_ros.vision.formation.transfer import light_of_srgb, linear_from_srgb, srgb_from_linear
 
 LENS = ThinLens(0.05, 2.0, 2.0)
 
@@ -67,6 +68,9 @@ CALLS = {
         "white": 15520.0,
         "gains": (1.9, 1.0, 1.3),
     },
+    light_of_srgb: lambda rng: {},
+    linear_from_srgb: lambda rng: {"image": rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)},
+    srgb_from_linear: lambda rng: {"image": rng.integers(0, 256, (6, 8)).astype(np.uint8)},
     stretched_to_8_bit: lambda rng: {
         "grey": rng.uniform(290, 310, (6, 8)).astype(np.float32),
         "black": 0.0,
