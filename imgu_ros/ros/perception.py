@@ -25,6 +25,7 @@ from imgu_ros.ros.parameter_sections import files_without_section
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.process import run_node
 from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.ros.transitions import refuse_impossible_transitions
 from imgu_ros.ros.worker import Handlers, Worker
 
 _WATCH_S = 0.1
@@ -58,6 +59,7 @@ class PerceptionNode(LifecycleNode):
 
     def __init__(self, stop: StopSignal) -> None:
         super().__init__("perception", enable_logger_service=True)
+        refuse_impossible_transitions(self)
         self._stop = stop
         self._failure: ImguError | None = None
         self._lifecycle = "unconfigured"
