@@ -224,7 +224,7 @@ def _send(frames: list[Any], rate_hz: float) -> tuple[dict[int, float], float, f
         info.publish(camera_info_message(make_message, header, frame.camera))
         sent[frame.stamp_ns] = time.monotonic()
         image.publish(message)
-    time.sleep(1.5)
+    time.sleep(4.0)
     crossed = _crossed() - before
     node.destroy_node()
     rclpy.try_shutdown()

@@ -86,6 +86,7 @@ class StageNode(LifecycleNode):
         self.create_timer(_WATCH_S, self._watch, clock=self._steady)
         self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
         self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/reset", self._on_reset)
         if stage.needs_targets:
             self.create_service(Trigger, "~/reload", self._on_reload)
         self._between_frames = threading.RLock()
@@ -256,6 +257,9 @@ class StageNode(LifecycleNode):
         entries = stage_health(self._state, self._figures, self._input, self._slot.skipped, unmatched)
         self._diagnostics.publish(diagnostics_message(make_message, self.get_clock().now().nanoseconds, entries))
 
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        return self._answer(response, self._reset)
+
     def _on_reload(self, _: Any, response: Any) -> Any:
         return self._answer(response, self._reload)
 
@@ -271,6 +275,12 @@ class StageNode(LifecycleNode):
             response.message = str(error)
             response.success = False
         return response
+
+    def _reset(self) -> str:
+        with self._between_frames:
+            if self._outputs is not None:
+                self._outputs.reset()
+        return "paths begin anew; a stage remembers nothing else"
 
     def _reload(self) -> str:
         if self._outputs is None:

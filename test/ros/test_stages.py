@@ -192,6 +192,7 @@ def test_a_stage_says_what_it_lacks_and_obeys_its_services(imgu, world, peer, pr
     assert answer.success
     peer.wait(lambda: says("paused"), "the pause")
     assert peer.call(SetBool, "/matcher/pause", SetBool.Request(data=False)).success
+    assert peer.call(Trigger, "/matcher/reset", Trigger.Request()).success
     answer = peer.call(Trigger, "/matcher/reload", Trigger.Request())
     assert answer.success
     assert answer.message == "targets: poster"

@@ -40,7 +40,8 @@ class DemosaicStage(Stage):
     name = "demosaic"
     takes = (_IN,)
     choice = Choice(
-        lambda topic: topic in ("image_color", "image_mono"), {REDUCED: IMAGE_TYPE, REDUCED_INFO: CAMERA_INFO_TYPE}
+        lambda topic: topic in ("image_color", "image_mono"),
+        {REDUCED: IMAGE_TYPE, REDUCED_INFO: CAMERA_INFO_TYPE},
     )
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
