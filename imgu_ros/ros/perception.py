@@ -28,7 +28,9 @@ from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.transitions import refuse_impossible_transitions
 from imgu_ros.ros.worker import Handlers, Worker
 
+#: Between two looks for listeners: while there are some, and while there are none and the node is to cost little.
 _WATCH_S = 0.1
+_REST_S = 0.2
 _THROTTLE_S = 5.0
 
 
@@ -81,7 +83,7 @@ class PerceptionNode(LifecycleNode):
             ),
         )
         self._explainer = Explainer(self, self._input, self._worker, self._state)
-        self.create_timer(_WATCH_S, self._watch, clock=self._steady)
+        self._watch_timer = self.create_timer(_REST_S, self._watch, clock=self._steady)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/reload", self._on_reload)
         self.create_service(Trigger, "~/set_target_from_view", self._on_set_target_from_view)
@@ -204,6 +206,9 @@ class PerceptionNode(LifecycleNode):
             self._warn_of_topic_name()
         else:
             self._input.close()
+        period_ns = round((_WATCH_S if self._input.is_open else _REST_S) * 1e9)
+        if self._watch_timer.timer_period_ns != period_ns:
+            self._watch_timer.timer_period_ns = period_ns
 
     def _on_result(self, result: Result, _: Job) -> None:
         if self._outputs is not None:
