@@ -34,7 +34,7 @@ SPLITS = {"raw": 0, "reduced": 1, "pyramid": 2, "keypoints": 3, "matches": 4, "h
 SKIPPED = 77
 _INSIDE = "IMGU_TWO_HOSTS"
 _LEFT, _RIGHT = "10.77.0.1", "10.77.0.2"
-_START_S = 40.0
+_START_S = 90.0
 
 
 @dataclass(frozen=True)
