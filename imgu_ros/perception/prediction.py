@@ -9,12 +9,11 @@ from itertools import zip_longest
 
 import cv2
 import numpy as np
-from scipy.linalg import expm
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Floats, Matrix3
-from imgu_ros.vision.projective.logarithm import logarithm
+from imgu_ros.vision.projective.logarithm import exponential, logarithm
 
 #: Between these quotients of two intervals the motion goes on, by as much more or less; else the target is looked for
 #: where it was. Intervals that differ by less than this share are the same.
@@ -153,7 +152,10 @@ def _led_on_unevenly(sightings: Sequence[Sighting], stamp_ns: int, known: int, t
         mean = float(sightings[0].stamp_ns - sightings[2].stamp_ns) / 2
         velocities.append(last + (last - before) * ((interval + later) / 2 / mean))
     on = to_unit @ sightings[0].H
-    return [np.asarray(from_unit @ expm(velocity * later) @ on, np.float64) for velocity in velocities]
+    try:
+        return [from_unit @ exponential(velocity * later) @ on for velocity in velocities]
+    except DegenerateConfiguration:
+        return []
 
 
 def _to_unit(H: Matrix3, target: Target) -> Matrix3:

@@ -30,6 +30,7 @@ from imgu_ros.ros.stage import Stage
 from imgu_ros.ros.stage_health import StageFigures, StageState, stage_health
 from imgu_ros.ros.stage_input import StageInput, StageJob
 from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.ros.transitions import refuse_impossible_transitions
 
 _WATCH_S = 0.1
 _DIAGNOSTICS_S = 1.0
@@ -64,6 +65,7 @@ class StageNode(LifecycleNode):
 
     def __init__(self, stage: Stage, stop: StopSignal) -> None:
         super().__init__(stage.name, enable_logger_service=True)
+        refuse_impossible_transitions(self)
         self._stage = stage
         self._stop = stop
         self._failure: ImguError | None = None

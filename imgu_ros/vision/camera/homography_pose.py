@@ -11,7 +11,6 @@ import math
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import lapack
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.types import Floats, Matrix3, as_matrix
@@ -99,10 +98,12 @@ class _PoseOfHomography:
         M_inverse = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
         A = homography.T_dst @ K
         by_pose = (A[:, None, :, None] * M_inverse.T[None, :, None, :]).reshape(9, 9)
-        # LAPACK alone, here and below: what numpy does around it takes three times as long.
-        self._whitening, failed = lapack.dpotrf(homography.normal)
-        if failed:
-            raise DegenerateConfiguration("H: its points do not determine it; need points that span the plane")
+        try:
+            self._whitening = np.linalg.cholesky(homography.normal).T
+        except np.linalg.LinAlgError:
+            raise DegenerateConfiguration(
+                "H: its points do not determine it; need points that span the plane"
+            ) from None
         # Eight whitened rows across the fitted homography, and one along it, which tells the scale.
         self._by_pose = np.empty((9, 9))
         self._by_pose[:8] = self._whitening @ (homography.basis.T @ by_pose)
@@ -148,10 +149,13 @@ class _PoseOfHomography:
         by_step = minimum.linearisation.jacobian[:, 0]
         residuals = minimum.linearisation.residuals.ravel()
         # The whitened errors of the homography have the covariance W^-T middle W^-1.
-        *_, gain, _ = lapack.dgesv(self._whitening, by_step)
-        _, of_pose, failed = lapack.dposv(by_step.T @ by_step, gain.T)
-        if failed:
-            raise DegenerateConfiguration("pose: nothing determines it; need a plane that is not seen edge-on")
+        try:
+            gain = np.linalg.solve(self._whitening, by_step)
+            of_pose = np.linalg.solve(by_step.T @ by_step, gain.T)
+        except np.linalg.LinAlgError:
+            raise DegenerateConfiguration(
+                "pose: nothing determines it; need a plane that is not seen edge-on"
+            ) from None
         covariance = homography.noise**2 * of_pose @ homography.middle @ of_pose.T
         rms_px = self._rms_px(float(residuals @ residuals))
         return Pose(R, t, (covariance + covariance.T) / 2, rms_px)

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
-from scipy.linalg import lapack
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.types import Choice, Floats, as_matrix
@@ -194,11 +194,11 @@ def _newton_step(normal: Floats, gradient: Floats, damping: float) -> Floats:
     scale = _scale(normal)
     scaled = normal / (scale[:, None] * scale)
     scaled.ravel()[:: len(scale) + 1] += damping
-    # LAPACK alone: what numpy does around it takes three times as long.
-    _, step, failed = lapack.dposv(scaled, gradient / scale)
-    if failed:
+    # Of a few rows, OpenCV is three times as fast as numpy.
+    regular, step = cv2.solve(scaled, (gradient / scale)[:, None], flags=cv2.DECOMP_CHOLESKY)
+    if not regular:
         raise DegenerateConfiguration("normal equations: singular; need measurements that determine every parameter")
-    return np.asarray(-step / scale, np.float64)
+    return np.asarray(-step[:, 0] / scale, np.float64)
 
 
 def _descent_step(normal: Floats, gradient: Floats, caution: float) -> Floats:

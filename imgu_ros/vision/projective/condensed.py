@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.linalg import lapack
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
@@ -26,7 +25,6 @@ _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 _WORST_CONDITION = 1e12
 _SMALLEST_AREA = 1e-12
 _LARGEST = 1e30
-_IDENTITY = np.eye(8)
 #: The derivatives of I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]] by its parameters.
 _BY_PARAMETER = np.eye(9)[:8].reshape(8, 3, 3)
 
@@ -199,10 +197,10 @@ def _inverse(normal: Floats) -> Floats:
     if not (scale.min() > 0 and math.isfinite(float(scale.max()))):
         raise _not_determined()
     by_scale = scale[:, None] * scale
-    # LAPACK alone: what numpy does around it takes three times as long.
-    _, inverse, failed = lapack.dposv(normal / by_scale, _IDENTITY)
+    # Of a few rows, OpenCV is three times as fast as numpy.
+    regular, inverse = cv2.invert(normal / by_scale, flags=cv2.DECOMP_CHOLESKY)
     # Of a matrix with unit diagonal, the inverse's diagonal is as large as its condition is bad.
-    if failed or not 0 < float(inverse.diagonal().max()) < _WORST_CONDITION:
+    if not regular or not 0 < float(inverse.diagonal().max()) < _WORST_CONDITION:
         raise _not_determined()
     return np.asarray(inverse / by_scale, np.float64)
 

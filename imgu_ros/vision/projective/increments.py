@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import lapack
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
@@ -212,12 +212,12 @@ class PlaneMotion:
         count, parameters = len(moved), self.by_parameters.shape[2]
         normal = (weights @ self._products[:count]).reshape(parameters, parameters)
         right = (weights[:, None] * moved).ravel() @ self.by_parameters[:count].reshape(-1, parameters)
-        # LAPACK alone: what numpy does around it takes three times as long.
-        _, motion, failed = lapack.dposv(normal, right)
+        # Of a few rows, OpenCV is three times as fast as numpy.
+        regular, motion = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
         # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
-        if failed or not np.abs(motion).max() < _LARGEST_MOTION:
+        if not regular or not np.abs(motion).max() < _LARGEST_MOTION:
             raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
-        return np.asarray(motion, np.float64)
+        return np.asarray(motion[:, 0], np.float64)
 
 
 def _eight(motion: Floats) -> list[float]:

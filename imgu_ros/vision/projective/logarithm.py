@@ -1,4 +1,4 @@
-"""The logarithm of a homography: to a plane's motion on the picture what a velocity is to a distance.
+"""The logarithm of a homography, and its inverse: to a plane's motion on the picture what a velocity is to a distance.
 
 By inverse scaling and squaring (Higham, Functions of Matrices, 2008, sections 6.3 and 11.5): square roots bring the
 matrix near the identity, where a series is short.
@@ -21,6 +21,8 @@ _MOST_STEPS = 30
 _EXACT = 1e-12
 #: Terms of the series: at `_NEAR` what is left out is some 1e-12.
 _TERMS = 6
+_FACTORIALS = 14
+_LARGEST = 100.0
 _PLAIN = (1e-30, 1e30)
 _IDENTITY = np.eye(3)
 _NO_LOGARITHM = "H: no real logarithm; need a motion of less than half a turn, in coordinates of moderate size"
@@ -58,6 +60,36 @@ def logarithm(H: ArrayLike) -> Matrix3:
             return _near_identity(A) * 2.0**roots
         A = _square_root(A)
     raise DegenerateConfiguration(_NO_LOGARITHM)
+
+
+def exponential(L: ArrayLike) -> Matrix3:
+    """Return exp(L), (3, 3): the homography that a velocity makes in a unit of time; of trace 0, its determinant is 1.
+
+    Raises
+    ------
+    ShapeError
+        If L is not (3, 3) of finite numbers.
+    DegenerateConfiguration
+        If the result is beyond floats.
+
+    Examples
+    --------
+    >>> exponential([[0, 0, 6], [0, 0, -2], [0, 0, 0]]).tolist()
+    [[1.0, 0.0, 6.0], [0.0, 1.0, -2.0], [0.0, 0.0, 1.0]]
+    """
+    L = as_matrix(L, (3, 3), "L")
+    largest = float(np.abs(L).max())
+    if not largest < _LARGEST:
+        raise DegenerateConfiguration(f"L: up to {largest:g}; need the velocity of a motion, less than {_LARGEST:g}")
+    squarings = max(0, math.ceil(math.log2(largest / _NEAR))) if largest > 0 else 0
+    step = L / 2.0**squarings
+    power, total = step, _IDENTITY + step
+    for term in range(2, _FACTORIALS):
+        power = power @ step / term
+        total = total + power
+    for _ in range(squarings):
+        total = total @ total
+    return total
 
 
 def _near_identity(A: Matrix3) -> Matrix3:

@@ -10,7 +10,7 @@ from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.estimate import unscaled
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
-from imgu_ros.vision.projective.logarithm import logarithm
+from imgu_ros.vision.projective.logarithm import exponential, logarithm
 
 POINTS = np.array([[x + 3.0 * (y == 50), y] for y in (0.0, 50.0, 100.0) for x in (0.0, 40.0, 80.0, 120.0)])
 H = np.array([[1.2, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
@@ -52,6 +52,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "usable": np.arange(12) != 7,
         "floor_px": 0.01,
     },
+    exponential: lambda rng: {"L": rng.normal(0, 0.3, (3, 3))},
     logarithm: lambda rng: {"H": np.eye(3) + rng.normal(0, 0.05, (3, 3))},
     PlaneMotion.inverse: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},
     PlaneMotion.matrix: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},

@@ -11,7 +11,7 @@ from scipy.linalg import expm, logm
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Matrix3
-from imgu_ros.vision.projective.logarithm import logarithm
+from imgu_ros.vision.projective.logarithm import exponential, logarithm
 
 
 def similarity(degrees: float, scale: float, x: float, y: float) -> Matrix3:
@@ -63,3 +63,15 @@ def test_a_share_of_a_turn(degrees: float, share: float) -> None:
 def test_none_of_a_mirror_half_a_turn_or_no_motion(H: Matrix3) -> None:
     with pytest.raises(DegenerateConfiguration, match="H: "):
         logarithm(H)
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.floats(0, 8))
+def test_the_exponential_as_by_another_method(seed: int, size: float) -> None:
+    L = np.random.default_rng(seed).normal(0, 1, (3, 3)) * size
+    expected = expm(L)
+    assert_allclose(exponential(L), expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_a_velocity_that_is_none() -> None:
+    with pytest.raises(DegenerateConfiguration, match="L: "):
+        exponential(np.full((3, 3), 1e3))
