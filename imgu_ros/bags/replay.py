@@ -16,8 +16,9 @@ from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.read_ahead import ReadFrame, read_ahead, size_of
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recorded_topics import checked_record
-from imgu_ros.bags.result_sink import Files, ResultSink, Written, result_sink
+from imgu_ros.bags.result_sink import ResultSink, result_sink
 from imgu_ros.bags.switching import one_processor_left_over, quick_thread_switches
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.codec.results import needs_keypoints
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.target_images import load_target_images

@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Self
 
 from imgu_ros.bags.output_folder import RESULTS
-from imgu_ros.bags.result_sink import Written
 from imgu_ros.bags.results_bag import ResultsBag
+from imgu_ros.bags.written import Written
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.pose_files import PoseFiles
 from imgu_ros.params import Parameters

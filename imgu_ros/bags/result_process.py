@@ -14,7 +14,7 @@ import numpy as np
 
 from imgu_ros.bags.background import Background
 from imgu_ros.bags.passed import Replayed
-from imgu_ros.bags.result_sink import Files, Written
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.errors import BagError
 from imgu_ros.params import DemosaicParameters, RawParameters
 from imgu_ros.perception.develop import develop

@@ -5,46 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
 from imgu_ros.bags.passed import Replayed
-from imgu_ros.params import Parameters
-from imgu_ros.perception.result import Result
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.report.summary import Summary
 
 #: A process takes about a second of a processor to start, and saves some milliseconds a frame.
 _WORTH_A_PROCESS = 500
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Written:
-    """One frame's result, and when the bag recorded the frame."""
-
-    result: Result
-    time_ns: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Files:
-    """What is to be written.
-
-    Attributes
-    ----------
-    out : the folder, prepared
-    parameters : of the replay
-    targets : names
-    record : outputs to record beside those that always are
-    expected : number of frames, as far as it is known
-    """
-
-    out: Path
-    parameters: Parameters
-    targets: tuple[str, ...]
-    record: tuple[str, ...]
-    expected: int
 
 
 class ResultSink(Protocol):

@@ -9,7 +9,7 @@ from typing import Self
 from imgu_ros.bags.background import Background
 from imgu_ros.bags.passed import Replayed
 from imgu_ros.bags.result_files import ResultFiles
-from imgu_ros.bags.result_sink import Files, Written
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.report.samples import Sample
 from imgu_ros.report.summary import Summary
 

@@ -16,7 +16,7 @@ from typing import BinaryIO, NoReturn
 from imgu_ros.bags.passed import Replayed
 from imgu_ros.bags.reporting import write_summary_and_report
 from imgu_ros.bags.result_files import ResultFiles
-from imgu_ros.bags.result_sink import Files, Written
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.errors import ImguError
 from imgu_ros.report.summary import Summary
 

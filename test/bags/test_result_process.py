@@ -19,9 +19,9 @@ from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recording import record_simulation
 from imgu_ros.bags.replay import replay
 from imgu_ros.bags.result_process import ResultProcess
-from imgu_ros.bags.result_sink import Files, Written
 from imgu_ros.bags.result_thread import ResultThread
 from imgu_ros.bags.result_writer import serve
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.errors import BagError, FileError
 from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images

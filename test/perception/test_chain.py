@@ -237,3 +237,18 @@ def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
     assert chain.process(late[1]).targets[0].status is Status.DETECTED
     assert chain.process(late[2]).targets[0].status is Status.DETECTED
     assert chain.process(late[3]).targets[0].status is Status.TRACKED
+
+
+def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
+    """The simulated sensor is linear, as a raw one, and the targets' pictures are sRGB: said so, errors are smaller."""
+    images = default_targets(1)
+    frames = list(islice(simulate_sequence(Simulation(width=1280, height=720, frames=60), images), 0, 60, 6))
+    median = {}
+    for transfer in ("auto", "linear", "srgb"):
+        parameters = parameters_from({"tracking.enabled": False, "raw.transfer": transfer})
+        targets = prepare_targets(images, parameters)
+        chain = Chain(parameters, targets)
+        results = [chain.process(simulated.frame) for simulated in frames]
+        median[transfer] = np.median(errors(tuple(frames), results, targets))
+    assert median["auto"] == median["linear"] < 0.9 * median["srgb"]
+    assert median["srgb"] < 0.1

@@ -1,0 +1,37 @@
+"""What goes to those who write results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from imgu_ros.params import Parameters
+from imgu_ros.perception.result import Result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Written:
+    """One frame's result, and when the bag recorded the frame."""
+
+    result: Result
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Files:
+    """What is to be written.
+
+    Attributes
+    ----------
+    out : the folder, prepared
+    parameters : of the replay
+    targets : names
+    record : outputs to record beside those that always are
+    expected : number of frames, as far as it is known
+    """
+
+    out: Path
+    parameters: Parameters
+    targets: tuple[str, ...]
+    record: tuple[str, ...]
+    expected: int
