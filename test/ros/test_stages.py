@@ -141,9 +141,14 @@ def test_six_processes_tell_what_one_tells(stages, world, peer):
     heard = peer.heard
     for result in world.results:
         camera.send(result.frame)
+        topics = ["status", "homography", "pose/status"]
+        if result.targets[0].homography is not None:
+            topics.append("outline")
+        if result.targets[0].pose is not None:
+            topics += ["pose", "targets/poster/odom"]
         peer.wait(
-            lambda ns=result.frame.stamp_ns: (
-                ns in by_stamp(heard["/cam/pose/status"][-3:]) and ns in by_stamp(heard["/cam/status"][-3:])
+            lambda ns=result.frame.stamp_ns, topics=tuple(topics): all(
+                ns in by_stamp(heard[f"/cam/{topic}"][-3:]) for topic in topics
             ),
             f"frame at {result.frame.stamp_ns}",
             again=lambda frame=result.frame: camera.send(frame),

@@ -73,10 +73,11 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
         raise TooFewPoints("poses: none; need at least one")
     if slack is not None and len(slack) != len(poses):
         raise ShapeError(f"slack: {len(slack)}; need {len(poses)}, one for each pose")
-    for i, pose in enumerate(poses):
-        as_rotation(pose.R, f"poses[{i}]")
-        as_matrix(pose.t, (3,), f"poses[{i}].t")
     covariances = [_checked(pose.covariance, f"poses[{i}].covariance") for i, pose in enumerate(poses)]
+    poses = [
+        Pose(as_rotation(pose.R, f"poses[{i}]"), as_matrix(pose.t, (3,), f"poses[{i}].t"), covariances[i], pose.rms_px)
+        for i, pose in enumerate(poses)
+    ]
     if len(poses) == 1:
         return FusedPose(poses[0], 0.0)
     fit = _fit(poses, covariances)
