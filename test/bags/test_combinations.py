@@ -63,8 +63,8 @@ FREE = (
     "homography.score", "preprocess.derivative", "matching.guided", "matching.mutual", "refinement.enabled",
     "tracking.enabled",
 )  # fmt: skip
-#: Choices about which this bag says nothing: of frames with bands, of a live node, of a lens, of the last hundredths of a
-#: pixel; and what has one value.
+#: Choices about which this bag says nothing: of frames with bands, of a live node, of a lens, of hundredths of a pixel;
+#: and what has one value.
 ELSEWHERE = {
     "raw.band_mode",
     "image_transport",

@@ -74,13 +74,13 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
     if slack is not None and len(slack) != len(poses):
         raise ShapeError(f"slack: {len(slack)}; need {len(poses)}, one for each pose")
     covariances = [_checked(pose.covariance, f"poses[{i}].covariance") for i, pose in enumerate(poses)]
-    poses = [
+    checked = [
         Pose(as_rotation(pose.R, f"poses[{i}]"), as_matrix(pose.t, (3,), f"poses[{i}].t"), covariances[i], pose.rms_px)
         for i, pose in enumerate(poses)
     ]
     if len(poses) == 1:
         return FusedPose(poses[0], 0.0)
-    fit = _fit(poses, covariances)
+    fit = _fit(checked, covariances)
     freedom = 6 * (len(poses) - 1)
     disagreement = fit.squared / freedom
     covariance = fit.covariance
@@ -89,7 +89,7 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
             covariance = covariance * disagreement
         else:
             extra = [_checked(one, f"slack[{i}]") for i, one in enumerate(slack)]
-            fit = _loosened(poses, covariances, extra, freedom)
+            fit = _loosened(checked, covariances, extra, freedom)
             covariance = fit.covariance
     return FusedPose(Pose(fit.R, fit.t, covariance, max(pose.rms_px for pose in poses)), disagreement)
 
