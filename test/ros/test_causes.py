@@ -20,6 +20,8 @@ from imgu_ros.codec.image import image_message
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.qos import image_qos, latched_qos
 
+pytestmark = pytest.mark.soak
+
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 INFO = "sensor_msgs/msg/CameraInfo"

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.soak
+
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
 

@@ -17,6 +17,8 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from imgu_ros.vision.camera.intrinsics import make_camera as camera_model
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
+pytestmark = pytest.mark.soak
+
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 PATH = "nav_msgs/msg/Path"
 STATUS = "diagnostic_msgs/msg/DiagnosticArray"

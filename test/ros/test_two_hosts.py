@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.soak
+
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
 FRAMES = 12
