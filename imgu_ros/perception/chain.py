@@ -63,8 +63,9 @@ class Chain:
     def prepare(self) -> None:
         """Make what some frame would have to wait for, some tenths of a second for each target."""
         self._seeker.prepare()
+        # What the frames are is not known yet: raw ones are the likeliest.
         for target in self._targets:
-            target.prepare()
+            target.prepare(linear=self._parameters.raw.transfer != "srgb")
 
     def reset(self) -> None:
         """Forget all that earlier frames told."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
-import cv2
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
+from imgu_ros.vision.projective.transform import inverse3
 
 #: Between these quotients of two intervals the motion goes on, by as much more or less; else the target is looked for
 #: where it was. Intervals that differ by less than this share are the same.
@@ -87,18 +88,11 @@ class Track:
         if self._ways is None or self._ways.stamp_ns != stamp_ns:
             later, before = self._quotient(0, stamp_ns), self._quotient(1, self.last.stamp_ns)
             ways = [self.last.H]
-            # Of three rows, OpenCV is five times as fast as numpy.
-            regular, back = cv2.invert(self.sightings[1].H) if _is_steady(later) else (0.0, self.last.H)
-            if regular:
-                motion = self.last.H @ back
-                earlier = self.sightings[2].H if _is_steady(before) else None
-                if _is_one(later) and (earlier is None or _is_one(before)):
-                    ways.append(motion @ self.last.H)
-                    if earlier is not None:
-                        # By what the motion differs from the one before.
-                        ways.append(motion @ earlier @ back @ ways[1])
-                else:
-                    ways += _led_on_unevenly(self.sightings, stamp_ns, 2 if earlier is None else 3, target)
+            if _is_steady(later):
+                known = self.sightings if _is_steady(before) else self.sightings[:2]
+                evenly = _is_one(later) and (len(known) < 3 or _is_one(before))
+                with contextlib.suppress(DegenerateConfiguration):
+                    ways += _led_on_evenly(known) if evenly else _led_on_unevenly(known, stamp_ns, target)
             self._ways = _Ways(stamp_ns, _facing(ways, target))
         return self._ways
 
@@ -131,31 +125,46 @@ def _growth(order: int, quotient: float) -> float:
     return math.prod((quotient + k) / (1 + k) for k in range(order + 1)) if quotient > 0 else 1.0
 
 
-def _led_on_unevenly(sightings: Sequence[Sighting], stamp_ns: int, known: int, target: Target) -> list[Matrix3]:
-    """Return where a motion leads that goes on, and one that goes on to change, when intervals differ.
+def _led_on_evenly(sightings: Sequence[Sighting]) -> list[Matrix3]:
+    """Return where a motion leads that goes on and, of three sightings, one that goes on to change.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a sighting is no homography.
+    """
+    last, *earlier = (sighting.H for sighting in sightings)
+    back = inverse3(earlier[0])
+    motion = last @ back
+    ways = [motion @ last]
+    if len(earlier) > 1:
+        # By what the motion differs from the one before.
+        ways.append(motion @ earlier[1] @ back @ ways[0])
+    return ways
+
+
+def _led_on_unevenly(sightings: Sequence[Sighting], stamp_ns: int, target: Target) -> list[Matrix3]:
+    """Return the same when intervals differ.
 
     A homography's logarithm is to its motion what a velocity is to a distance.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a motion has none: it turns the image by half a circle, or is no motion.
     """
     to_unit = _to_unit(sightings[0].H, target)
-    try:
-        last, before = _velocity(sightings[0], sightings[1], to_unit), None
-        if known > 2:
-            before = _velocity(sightings[1], sightings[2], to_unit)
-        from_unit = _inverse(to_unit)
-    except DegenerateConfiguration:
-        return []
+    last = _velocity(sightings[0], sightings[1], to_unit)
     interval = float(sightings[0].stamp_ns - sightings[1].stamp_ns)
     later = float(stamp_ns - sightings[0].stamp_ns)
     velocities = [last]
-    if before is not None:
+    if len(sightings) > 2:
         # Each is that of the middle of its interval.
         mean = float(sightings[0].stamp_ns - sightings[2].stamp_ns) / 2
-        velocities.append(last + (last - before) * ((interval + later) / 2 / mean))
-    on = to_unit @ sightings[0].H
-    try:
-        return [from_unit @ exponential(velocity * later) @ on for velocity in velocities]
-    except DegenerateConfiguration:
-        return []
+        change = last - _velocity(sightings[1], sightings[2], to_unit)
+        velocities.append(last + change * ((interval + later) / 2 / mean))
+    on, from_unit = to_unit @ sightings[0].H, inverse3(to_unit)
+    return [from_unit @ exponential(velocity * later) @ on for velocity in velocities]
 
 
 def _to_unit(H: Matrix3, target: Target) -> Matrix3:
@@ -174,16 +183,8 @@ def _velocity(later: Sighting, earlier: Sighting, to_unit: Matrix3) -> Matrix3:
     DegenerateConfiguration
         If the motion has none: it turns the image by half a circle, or is no motion.
     """
-    motion = to_unit @ later.H @ _inverse(to_unit @ earlier.H)
+    motion = to_unit @ later.H @ inverse3(to_unit @ earlier.H)
     return logarithm(motion) / (later.stamp_ns - earlier.stamp_ns)
-
-
-def _inverse(H: Matrix3) -> Matrix3:
-    # Of three rows, OpenCV is five times as fast as numpy.
-    regular, inverse = cv2.invert(H)
-    if not regular:
-        raise DegenerateConfiguration("H: singular; need a homography")
-    return np.asarray(inverse, np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

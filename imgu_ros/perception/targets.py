@@ -150,9 +150,9 @@ class Target:
         """Template px to the target's plane, metres, origin at the centre, y up: (3, 3) affine."""
         return _metres_from_template(*self.size, self.width_m)
 
-    def prepare(self) -> None:
-        """Make what the first frame that shows another octave of the target would have to wait for."""
-        for octave in self.octaves(linear=True):
+    def prepare(self, linear: bool) -> None:
+        """Make what the first frame that shows another octave of the target would have to wait for; see `octaves`."""
+        for octave in self.octaves(linear):
             _ = octave.corners
 
     def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:

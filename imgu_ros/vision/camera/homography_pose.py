@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,6 +20,7 @@ from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.projective.condensed import CondensedHomography
+from imgu_ros.vision.projective.transform import inverse3
 
 #: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
 _TOLERANCE = 5e-3
@@ -75,11 +75,11 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     ([0.0, 0.0, 2.0], True)
     """
     K = as_matrix(K, (3, 3), "K")
-    src_from_plane = _inverse(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
+    src_from_plane = inverse3(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
     problem = _PoseOfHomography(homography, K, src_from_plane)
     # In the middle of the points the two poses are nearest to the best ones.
-    plane_from_points = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
-    normalised_from_plane = _inverse(homography.T_dst @ K, "K") @ homography.scaled @ homography.T_src @ src_from_plane
+    plane_from_points = inverse3(homography.T_src @ src_from_plane, "plane_from_src")
+    normalised_from_plane = inverse3(homography.T_dst @ K, "K") @ homography.scaled @ homography.T_src @ src_from_plane
     starts = poses_about_point(normalised_from_plane, plane_from_points[:2, 2] / plane_from_points[2, 2])
     poses = weighed_poses(
         sorted(starts, key=problem.start_px), lambda start: problem.rms_px(start.matrix), problem.refined
@@ -95,7 +95,7 @@ class _PoseOfHomography:
     def __init__(self, homography: CondensedHomography, K: Matrix3, src_from_plane: Matrix3) -> None:
         self._homography = homography
         # H = A [r1 r2 t] M^-1, so that vec H = (A x M^-T) vec [r1 r2 t], row-major.
-        M_inverse = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
+        M_inverse = inverse3(homography.T_src @ src_from_plane, "plane_from_src")
         A = homography.T_dst @ K
         by_pose = (A[:, None, :, None] * M_inverse.T[None, :, None, :]).reshape(9, 9)
         try:
@@ -171,11 +171,3 @@ class _PoseOfHomography:
         if not scale > 0:
             raise DegenerateConfiguration("pose: the plane is behind the camera; need it in front")
         return along[:8] / scale, scale
-
-
-def _inverse(matrix: Matrix3, name: str) -> Matrix3:
-    # Of three rows, OpenCV is five times as fast as numpy.
-    regular, inverse = cv2.invert(matrix)
-    if not regular or not math.isfinite(np.vdot(inverse, inverse)):
-        raise DegenerateConfiguration(f"{name}: singular or nearly so; need a regular matrix")
-    return np.asarray(inverse, np.float64)

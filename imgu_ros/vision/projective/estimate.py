@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -26,7 +25,7 @@ from imgu_ros.vision.projective.refine import (
     tangent_basis,
 )
 from imgu_ros.vision.projective.reprojection import ReprojectionProblem
-from imgu_ros.vision.projective.transform import faces_camera, normalised_homography
+from imgu_ros.vision.projective.transform import faces_camera, inverse3, normalised_homography
 
 #: Inliers must reach this far across their main direction, as a share of their extent along it (both RMS):
 #: nearer to a line, the homography is not determined across it.
@@ -224,10 +223,7 @@ def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, 
     scaled, T_src, T_dst = (
         as_matrix(M, (3, 3), name) for M, name in ((scaled, "scaled"), (T_src, "T_src"), (T_dst, "T_dst"))
     )
-    # Of three rows, OpenCV is five times as fast as numpy.
-    regular, T_inverse = cv2.invert(T_dst)
-    if not regular:
-        raise DegenerateConfiguration("T_dst: singular; need a similarity")
+    T_inverse = inverse3(T_dst, "T_dst")
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         raw = T_inverse @ scaled @ T_src
         H = normalised_homography(raw)

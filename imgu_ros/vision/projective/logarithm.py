@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Matrix3, as_matrix
+from imgu_ros.vision.projective.transform import inverse3
 
 _NEAR = 0.25
 _MOST_ROOTS = 12
@@ -94,7 +95,7 @@ def exponential(L: ArrayLike) -> Matrix3:
 
 def _near_identity(A: Matrix3) -> Matrix3:
     # log A = 2 artanh Z, Z = (A - I) (A + I)^-1.
-    Z = (A - _IDENTITY) @ _inverse(A + _IDENTITY)
+    Z = (A - _IDENTITY) @ inverse3(A + _IDENTITY)
     squared, power, total = Z @ Z, Z, Z
     for term in range(1, _TERMS):
         power = power @ squared
@@ -106,7 +107,7 @@ def _square_root(A: Matrix3) -> Matrix3:
     """Return the square root of eigenvalues with a positive real part, by Denman and Beavers' iteration."""
     root, inverse_root = A, _IDENTITY
     for _ in range(_MOST_STEPS):
-        further, inverse_root = (root + _inverse(inverse_root)) / 2, (inverse_root + _inverse(root)) / 2
+        further, inverse_root = (root + inverse3(inverse_root)) / 2, (inverse_root + inverse3(root)) / 2
         change = float(np.abs(further - root).max())
         root = further
         if not math.isfinite(change):
@@ -114,11 +115,3 @@ def _square_root(A: Matrix3) -> Matrix3:
         if change <= _EXACT * float(np.abs(root).max()):
             return root
     raise DegenerateConfiguration(_NO_LOGARITHM)
-
-
-def _inverse(A: Matrix3) -> Matrix3:
-    # Of three rows, OpenCV is five times as fast as numpy.
-    regular, inverse = cv2.invert(A)
-    if not regular:
-        raise DegenerateConfiguration(_NO_LOGARITHM)
-    return np.asarray(inverse, np.float64)

@@ -99,6 +99,32 @@ def area_factor(H: ArrayLike, point: Sequence[float]) -> float:
     return factor
 
 
+def inverse3(matrix: ArrayLike, name: str = "H") -> Matrix3:
+    """Return the inverse of a (3, 3) matrix of numbers of moderate size, several times as fast as numpy.
+
+    Parameters
+    ----------
+    matrix : (3, 3)
+    name : what errors call it
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If it is singular, or squares of its inverse are no floats.
+    ShapeError
+        If it is not (3, 3) of finite numbers.
+
+    Examples
+    --------
+    >>> (inverse3([[2, 0, 0], [0, 4, 0], [1, 0, 1]]) @ [2, 4, 2]).tolist()
+    [1.0, 1.0, 1.0]
+    """
+    regular, inverse = cv2.invert(as_matrix(matrix, (3, 3), name))
+    if not regular or not math.isfinite(np.vdot(inverse, inverse)):
+        raise DegenerateConfiguration(f"{name}: singular or nearly so; need a regular matrix")
+    return np.asarray(inverse, np.float64)
+
+
 def normalised_homography(H: ArrayLike) -> Matrix3:
     """Scale a homography to unit Frobenius norm and positive determinant.
 

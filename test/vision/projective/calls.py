@@ -24,6 +24,7 @@ from imgu_ros.vision.projective.points_and_lines import (
 from imgu_ros.vision.projective.transform import (
     area_factor,
     faces_camera,
+    inverse3,
     local_jacobian,
     normalised_homography,
     transform,
@@ -61,6 +62,7 @@ def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
     transform: lambda rng: {"H": H.copy(), "points": _points(rng)},
+    inverse3: lambda rng: {"matrix": H.copy()},
     area_factor: lambda rng: {"H": H.copy(), "point": _points(rng)[0]},
     local_jacobian: lambda rng: {"H": H.copy(), "points": _points(rng)},
     normalised_homography: lambda rng: {"H": H.copy()},

@@ -8,6 +8,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.vision.projective.transform import (
     area_factor,
     faces_camera,
+    inverse3,
     local_jacobian,
     normalised_homography,
     transform,
@@ -67,3 +68,13 @@ def test_faces_camera() -> None:
     assert faces_camera(-5 * H, points)  # the sign of a matrix means nothing
     assert not faces_camera(H @ np.diag([-1.0, 1.0, 1.0]), points)  # mirrored
     assert not faces_camera(H, [[0, 0], [0, -200.0]])  # across the vanishing line
+
+
+def test_inverse3() -> None:
+    rng = np.random.default_rng(9)
+    for _ in range(20):
+        M = rng.normal(size=(3, 3))
+        assert_allclose(inverse3(M), np.linalg.inv(M), rtol=1e-9)
+    for singular in (np.zeros((3, 3)), np.ones((3, 3))):
+        with pytest.raises(DegenerateConfiguration, match="M: singular"):
+            inverse3(singular, "M")
