@@ -1,4 +1,4 @@
-"""Between the callbacks, which only hand over, and the worker, which takes the newest."""
+"""Between the callbacks, which only hand over, and the worker."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-#: So long an item may wait without giving way to a newer one: a hold-up of a few frames at 120 Hz costs none of them.
-_PATIENCE_S = 0.02
+#: A worker that has not been up with what comes for so long is too slow; before, it is held up and will catch up.
+_PATIENCE_S = 0.25
 #: More never wait: an image is some megabytes.
-_MOST = 4
+_MOST = 12
 
 
 class NewestSlot(Generic[T]):
-    """Holds what came last; what has waited too long gives way to what is newer, and counts as skipped. Thread-safe.
+    """Holds what comes: all of it for a worker that keeps up, the newest for one that is too slow. Thread-safe.
 
-    A worker that is held up for a moment so catches up, and one that is too slow works on the newest.
+    A worker keeps up if it has, now and then, taken all that came. If it is held up for a moment what comes waits for
+    it; if it has been behind for longer all but the newest gives way, and counts as skipped.
 
     Parameters
     ----------
-    patience_s : how long an item may wait without giving way
+    patience_s : how long a worker may be behind before what is old gives way
     clock : tells the time, s
     """
 
@@ -31,7 +32,9 @@ class NewestSlot(Generic[T]):
         self._condition = threading.Condition()
         self._patience_s = patience_s
         self._clock = clock
-        self._waiting: deque[tuple[float, T]] = deque()
+        self._waiting: deque[T] = deque()
+        # Since when the worker has not taken all that came; None: it has.
+        self._behind_since_s: float | None = None
         self._skipped = 0
         self._closed = False
 
@@ -43,23 +46,28 @@ class NewestSlot(Generic[T]):
     def put(self, item: T) -> None:
         """Hand over an item."""
         with self._condition:
-            self._waiting.append((self._clock(), item))
+            if self._behind_since_s is None:
+                self._behind_since_s = self._clock()
+            self._waiting.append(item)
             self._give_way()
             self._condition.notify()
 
     def take(self) -> T | None:
         """Wait for an item and take it; None once the slot is closed."""
         with self._condition:
+            if not self._waiting:
+                self._behind_since_s = None
             self._condition.wait_for(lambda: self._waiting or self._closed)
             if self._closed:
                 return None
             self._give_way()
-            return self._waiting.popleft()[1]
+            return self._waiting.popleft()
 
     def clear(self) -> None:
         """Drop what is held; it does not count as skipped."""
         with self._condition:
             self._waiting.clear()
+            self._behind_since_s = None
 
     def close(self) -> None:
         """End every `take`, now and later."""
@@ -69,7 +77,8 @@ class NewestSlot(Generic[T]):
             self._condition.notify_all()
 
     def _give_way(self) -> None:
-        now = self._clock()
-        while len(self._waiting) > _MOST or (len(self._waiting) > 1 and now - self._waiting[0][0] > self._patience_s):
+        behind_s = 0.0 if self._behind_since_s is None else self._clock() - self._behind_since_s
+        most = 1 if behind_s > self._patience_s else _MOST
+        while len(self._waiting) > most:
             self._waiting.popleft()
             self._skipped += 1

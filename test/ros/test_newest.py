@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import threading
+from itertools import accumulate
 
 import pytest
 from hypothesis import given
@@ -17,52 +18,77 @@ class Clock:
         return self.now_s
 
 
-@given(st.lists(st.sampled_from(["put", "take", "wait"]), max_size=60))
-def test_every_item_is_taken_or_skipped_and_those_taken_are_in_order(actions: list[str]) -> None:
-    """None is taken that has waited too long, unless there is none that is newer."""
-    clock = Clock()
-    slot: NewestSlot[int] = NewestSlot(0.02, clock)
-    came_s: list[float] = []
+class World(threading.Condition):
+    """Items come at their times while a worker, in the same thread, works or waits for the next."""
+
+    def __init__(self, arrivals_s: list[float], patience_s: float = 0.25) -> None:
+        super().__init__()
+        self.clock = Clock()
+        self.slot: NewestSlot[int] = NewestSlot(patience_s, self.clock)
+        self.slot._condition = self
+        self.arrivals_s = arrivals_s
+        self.came = 0
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Let the next item come, or close."""
+        if self.came < len(self.arrivals_s):
+            self.work(self.arrivals_s[self.came] - self.clock.now_s)
+        else:
+            self.slot.close()
+        return True
+
+    def work(self, duration_s: float) -> None:
+        """Let time pass, and come what comes."""
+        until_s = self.clock.now_s + duration_s
+        while self.came < len(self.arrivals_s) and self.arrivals_s[self.came] <= until_s:
+            self.clock.now_s = self.arrivals_s[self.came]
+            self.came += 1
+            self.slot.put(self.came - 1)
+        self.clock.now_s = until_s
+
+
+@given(
+    st.lists(st.floats(0, 0.05), min_size=1, max_size=60),
+    st.lists(st.floats(0, 0.05), min_size=60, max_size=60),
+)
+def test_every_item_is_taken_or_skipped_and_those_taken_are_in_order(gaps_s: list[float], works_s: list[float]) -> None:
+    """All but the newest gives way exactly when the worker has not waited for longer than the patience."""
+    world = World(list(accumulate(gaps_s)), patience_s=0.03)
     taken: list[int] = []
-    for action in actions:
-        if action == "wait":
-            clock.now_s += 0.008
-        elif action == "put":
-            slot.put(len(came_s))
-            came_s.append(clock.now_s)
-        elif taken[-1:] != [len(came_s) - 1] and came_s:
-            item = slot.take()
-            assert item is not None
-            assert clock.now_s - came_s[item] <= 0.02 or item == len(came_s) - 1
-            taken.append(item)
+    idle_s = 0.0
+    for work_s in works_s:
+        waits = world.came == len(taken) + world.slot.skipped
+        if (item := world.slot.take()) is None:
+            break
+        now_s = world.clock.now_s
+        idle_s = now_s if waits else idle_s
+        if now_s - idle_s > 0.03:
+            assert item == world.came - 1
+        taken.append(item)
+        world.work(work_s)
     assert taken == sorted(set(taken))
-    left = len(came_s) - len(taken) - slot.skipped
-    assert 0 <= left <= 4
+    assert taken[-1] == len(gaps_s) - 1
+    assert len(taken) + world.slot.skipped == len(gaps_s)
 
 
-@pytest.mark.parametrize(("interval_s", "work_s"), [(1 / 120, 0.0075), (1 / 30, 0.1), (1 / 15, 0.01)])
-def test_what_a_worker_gets(interval_s: float, work_s: float) -> None:
-    """Fast enough, it gets every item, also when it is held up for a moment; too slow, it gets fresh ones."""
-    clock = Clock()
-    slot: NewestSlot[float] = NewestSlot(clock=clock)
-    ages, busy_until_s, count = [], 0.0, 120
-    for i in range(count):
-        due_s = i * interval_s
-        # The worker takes as much as it can before the next item comes.
-        while busy_until_s <= due_s and i > len(ages) + slot.skipped:
-            clock.now_s = max(busy_until_s, clock.now_s)
-            came_s = slot.take()
-            assert came_s is not None
-            ages.append(clock.now_s - came_s)
-            hold_up_s = 0.012 if len(ages) == 50 else 0.0
-            busy_until_s = clock.now_s + work_s + hold_up_s
-        clock.now_s = due_s
-        slot.put(due_s)
+@pytest.mark.parametrize(
+    ("interval_s", "work_s", "hold_up_s"),
+    [(1 / 120, 0.0075, 0.01), (1 / 60, 0.008, 0.1), (1 / 15, 0.01, 0.2), (1 / 30, 0.05, 0.0), (1 / 60, 0.5, 0.0)],
+)
+def test_what_a_worker_gets(interval_s: float, work_s: float, hold_up_s: float) -> None:
+    """Fast enough, it gets every item, also when it is held up for a moment; too slow, it soon gets fresh ones."""
+    world = World([i * interval_s for i in range(240)])
+    ages_s = []
+    while (item := world.slot.take()) is not None:
+        ages_s.append(world.clock.now_s - world.arrivals_s[item])
+        world.work(work_s + (hold_up_s if len(ages_s) == 50 else 0.0))
+    assert len(ages_s) + world.slot.skipped == 240
     if work_s < interval_s:
-        assert slot.skipped == 0
+        assert world.slot.skipped == 0
+        assert max(ages_s) <= hold_up_s + work_s + 1e-9
     else:
-        assert slot.skipped > 0.5 * count
-    assert max(ages) <= max(0.02, interval_s) + 1e-9
+        assert world.slot.skipped > 0.3 * 240
+        assert max(ages_s[len(ages_s) // 2 :]) <= interval_s + 1e-9
 
 
 def test_a_skipped_item_is_counted_and_let_go() -> None:
@@ -73,6 +99,14 @@ def test_a_skipped_item_is_counted_and_let_go() -> None:
     slot.put("new")
     assert slot.skipped == 1
     assert slot.take() == "new"
+
+
+def test_no_more_than_a_dozen_wait() -> None:
+    slot: NewestSlot[int] = NewestSlot(clock=Clock())
+    for item in range(20):
+        slot.put(item)
+    assert [slot.take() for _ in range(12)] == list(range(8, 20))
+    assert slot.skipped == 8
 
 
 def test_close_ends_a_take_that_waits() -> None:

@@ -61,7 +61,7 @@ class Rig:
     def taken(self) -> list[StageJob]:
         jobs = list(self.slot._waiting)
         self.slot.clear()
-        return [job for _, job in jobs]
+        return jobs
 
 
 @given(st.permutations([(name, stamp) for name in "ab" for stamp in range(5)]))
