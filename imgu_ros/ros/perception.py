@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
-from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
-from std_srvs.srv import SetBool, Trigger
-
-from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage
@@ -19,19 +12,16 @@ from imgu_ros.ros.cause import Cause
 from imgu_ros.ros.diagnostics import NodeState
 from imgu_ros.ros.explaining import Explainer
 from imgu_ros.ros.input import ImageInput, Job
+from imgu_ros.ros.managed_node import ManagedNode, run_managed
 from imgu_ros.ros.offers import why_not_served
 from imgu_ros.ros.outputs import Outputs
-from imgu_ros.ros.parameter_sections import files_without_section
-from imgu_ros.ros.parameters import ParameterServer
-from imgu_ros.ros.process import run_node
+from imgu_ros.ros.rebuilding import Built
 from imgu_ros.ros.stopping import StopSignal
-from imgu_ros.ros.transitions import refuse_impossible_transitions
 from imgu_ros.ros.worker import Handlers, Worker
 
 #: Between two looks for listeners: while there are some, and while there are none and the node is to cost little.
 _WATCH_S = 0.1
 _REST_S = 0.2
-_THROTTLE_S = 5.0
 
 
 def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
@@ -42,17 +32,10 @@ def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
     ImguError
         If the node cannot start: a bad parameter, a target that cannot be used, a missing package.
     """
-
-    def make_node() -> PerceptionNode:
-        node = PerceptionNode(stop)
-        for line in files_without_section(ros_arguments, node.get_fully_qualified_name()):
-            node.get_logger().warning(line)
-        return node
-
-    return run_node(make_node, ros_arguments, stop)
+    return run_managed(lambda: PerceptionNode(stop), ros_arguments, stop)
 
 
-class PerceptionNode(LifecycleNode):
+class PerceptionNode(ManagedNode[ImageInput]):
     """Images in, poses out.
 
     Callbacks run in the executor's thread and only hand over; one worker thread decodes, runs the chain and
@@ -60,17 +43,8 @@ class PerceptionNode(LifecycleNode):
     """
 
     def __init__(self, stop: StopSignal) -> None:
-        super().__init__("perception", enable_logger_service=True)
-        refuse_impossible_transitions(self)
-        self._stop = stop
-        self._failure: ImguError | None = None
-        self._lifecycle = "unconfigured"
-        self._paused = False
+        super().__init__("perception", stop)
         self._warned: set[str] = set()
-        # The machine's time: with use_sim_time a timer would stand still until /clock comes.
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._outputs: Outputs | None = None
-        self._server = ParameterServer(self)
         self._input = ImageInput(self, self._server.parameters.image_transport)
         self._worker = Worker(
             self._input.slot,
@@ -78,101 +52,40 @@ class PerceptionNode(LifecycleNode):
             Handlers(
                 result=self._on_result,
                 rejected=self._on_rejected,
-                failed=self._on_failed,
+                failed=self._log_failure,
                 needs_keypoints=self._needs_keypoints,
             ),
         )
         self._explainer = Explainer(self, self._input, self._worker, self._state)
         self._watch_timer = self.create_timer(_REST_S, self._watch, clock=self._steady)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/reload", self._on_reload)
-        self.create_service(Trigger, "~/set_target_from_view", self._on_set_target_from_view)
-        self.create_service(SetBool, "~/pause", self._on_pause)
-
-    def start(self) -> None:
-        """Configure and activate when `autostart` says so.
-
-        Raises
-        ------
-        ImguError
-            If the node cannot be configured.
-        """
-        if not self._server.parameters.autostart:
-            return
-        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-            raise self._failure or ImguError("perception: cannot be configured; see the log")
-        self.trigger_activate()
-
-    def frame_group(self) -> CallbackGroup | None:
-        """Return the group of the inputs' callbacks while they are subscribed."""
-        return self._input.group if self._input.is_open else None
+        self._create_slow_service("~/reload", self._reload)
+        self._create_slow_service("~/set_target_from_view", self._set_target_from_view)
 
     def close(self) -> bool:
-        """Drop the inputs and end the worker; return whether it has ended."""
-        self._input.close()
-        return self._worker.close()
+        """Drop the inputs and end the threads; return whether they have ended."""
+        ended = super().close()
+        return self._worker.close() and ended
 
-    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> Any:
-        """See `ParameterServer.set_atomically`."""
-        return self._server.set_atomically(parameter_list, super().set_parameters_atomically)
+    def _load(self) -> None:
+        self._adopt(self._worker.build(load_target_images(self._server.reload().targets)))
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the targets and create the publishers."""
-        try:
-            with self._stop.interruptible():
-                self._adopt(load_target_images(self._server.reload().targets))
-        except ImguError as error:
-            self._failure = error
-            if state.label != "unconfigured" or not self._server.parameters.autostart:
-                self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        self._lifecycle = "inactive"
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to look for listeners."""
-        self._lifecycle = "active"
-        self._explainer.begin()
-        names = ", ".join(target.name for target in self._worker.targets) or "none (set targets.images)"
-        self.get_logger().info(f"targets: {names}; images from {self._input.topics.image} when somebody listens")
-        self._watch()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Drop the inputs."""
-        self._lifecycle = "inactive"
-        self._input.close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the targets and destroy the publishers."""
-        self._lifecycle = "unconfigured"
-        self._clear()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Drop everything; the process ends when it is asked to."""
-        self._lifecycle = "finalized"
-        self._clear()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go back to the beginning."""
-        return self.on_cleanup(state)
-
-    def _clear(self) -> None:
-        self._input.close()
+    def _drop(self) -> None:
         with self._worker.between_frames():
             self._worker.drop()
             if self._outputs is not None:
                 self._outputs.destroy()
                 self._outputs = None
 
-    def _adopt(self, images: Sequence[TargetImage]) -> None:
+    def _begin(self) -> None:
+        self._explainer.begin()
+        names = ", ".join(target.name for target in self._worker.targets) or "none (set targets.images)"
+        self.get_logger().info(f"targets: {names}; images from {self._input.topics.image} when somebody listens")
+
+    def _adopt(self, built: Built) -> None:
         """Look for these targets from now on, and have a publisher for each of their topics."""
         with self._worker.between_frames():
-            targets = self._worker.use(images)
-            self._fit_outputs([target.name for target in targets])
+            self._worker.use(built)
+            self._fit_outputs([target.name for target in built.targets])
 
     def _fit_outputs(self, names: Sequence[str]) -> None:
         parameters = self._server.parameters
@@ -198,7 +111,7 @@ class PerceptionNode(LifecycleNode):
                     if between:
                         self._fit_outputs(names)
             except ImguError as error:
-                self._on_failed(f"parameters: {error}")
+                self._log_failure(f"parameters: {error}")
                 return
         if self._lifecycle == "active" and not self._paused and self._outputs.wanted():
             self._input.open()
@@ -227,14 +140,6 @@ class PerceptionNode(LifecycleNode):
     def _needs_keypoints(self) -> bool:
         return self._outputs is not None and self._outputs.needs_keypoints()
 
-    def _on_failed(self, line: str) -> None:
-        self.get_logger().error(line, throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=self._steady)
-
-    def _log_rejected(self, reason: str) -> None:
-        self.get_logger().warning(
-            f"frame rejected: {reason}", throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=self._steady
-        )
-
     def _warn_of_topic_name(self) -> None:
         if self._input.looks_rectified and not self._server.parameters.camera.rectified:
             topic = self._input.topics.image
@@ -258,28 +163,6 @@ class PerceptionNode(LifecycleNode):
             frames="" if outputs is None else outputs.problem,
         )
 
-    def _on_reset(self, _: Any, response: Any) -> Any:
-        return self._answer(response, self._reset)
-
-    def _on_reload(self, _: Any, response: Any) -> Any:
-        return self._answer(response, self._reload)
-
-    def _on_set_target_from_view(self, _: Any, response: Any) -> Any:
-        return self._answer(response, self._set_target_from_view)
-
-    def _on_pause(self, request: Any, response: Any) -> Any:
-        return self._answer(response, lambda: self._pause(bool(request.data)))
-
-    def _answer(self, response: Any, act: Callable[[], str]) -> Any:
-        """Run a service's action; its result, or what prevents it, is the answer."""
-        try:
-            response.message = act()
-            response.success = True
-        except ImguError as error:
-            response.message = str(error)
-            response.success = False
-        return response
-
     def _reset(self) -> str:
         self._worker.reset()
         with self._worker.between_frames():
@@ -287,25 +170,20 @@ class PerceptionNode(LifecycleNode):
                 self._outputs.reset()
         return "all tracks and paths forgotten"
 
-    def _reload(self) -> str:
-        self._require_configured()
-        self._adopt(load_target_images(self._server.reload().targets))
+    async def _reload(self) -> str:
+        targets = self._server.reload().targets
+        await self._adopt_soon(lambda: self._worker.build(load_target_images(targets)))
         return "targets: " + (", ".join(target.name for target in self._worker.targets) or "none")
 
-    def _set_target_from_view(self) -> str:
-        self._require_configured()
+    async def _set_target_from_view(self) -> str:
         last = self._worker.last
         if last is None or last.developed is None:
             raise ImguError("view: no frame yet; need images, and a listener on any output")
-        grey = last.developed.grey
-        self._adopt([TargetImage("view", grey, 0.0, last.developed.is_linear)])
+        view = TargetImage("view", last.developed.grey, 0.0, last.developed.is_linear)
+        await self._adopt_soon(lambda: self._worker.build([view]))
         return f"target: view, the frame at {last.frame.stamp_ns} ns, its size unknown; ~/reload brings back the others"
 
-    def _pause(self, paused: bool) -> str:
-        self._paused = paused
-        self._watch()
-        return "paused" if paused else "running"
-
-    def _require_configured(self) -> None:
-        if self._outputs is None:
-            raise ParameterError(f"lifecycle state: {self._lifecycle}; need inactive or active")
+    async def _adopt_soon(self, make: Callable[[], Built]) -> None:
+        built = await self._do_beside(make)
+        self._require_configured()  # it may have been cleaned up meanwhile
+        self._adopt(built)

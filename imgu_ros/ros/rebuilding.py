@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from imgu_ros.errors import ImguError
@@ -13,8 +14,9 @@ from imgu_ros.params import HomographyParameters, Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
 
-#: How long a thread may keep the interpreter while a chain is made, and the longest rest between two of them, s.
-_SWITCH_S = 0.0005
+#: How long a thread may keep the interpreter while a chain is made, and usually, s.
+_SWITCH_S, _USUAL_SWITCH_S = 0.0005, sys.getswitchinterval()
+#: The longest rest between two chains, s.
 _LONGEST_REST_S = 1.0
 
 
@@ -53,6 +55,19 @@ def build(images: Sequence[TargetImage], parameters: Parameters, before: Built |
     return Built(chain, targets, images, parameters)
 
 
+@contextlib.contextmanager
+def switching_often() -> Iterator[None]:
+    """Let a thread that computes for long give the interpreter to others soon, however often they want it.
+
+    Callbacks that bring frames give it away and want it back many times over.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(_USUAL_SWITCH_S)
+
+
 class Rebuilder:
     """Builds for the newest parameters that it is asked for, one at a time, in a thread that ends with its work.
 
@@ -69,7 +84,6 @@ class Rebuilder:
         self._done: Built | None = None
         self._thread: threading.Thread | None = None
         self._closed = threading.Event()
-        self._usual_switch_s = sys.getswitchinterval()
 
     def ask(self, before: Built, parameters: Parameters) -> None:
         """Have a chain made like `before` with other parameters; returns at once, and may be called again and again."""
@@ -103,16 +117,12 @@ class Rebuilder:
         return thread is None or not thread.is_alive()
 
     def _run(self) -> None:
-        # Callbacks that bring frames give the interpreter away and want it back many times over.
-        sys.setswitchinterval(_SWITCH_S)
-        try:
+        with switching_often():
             while (order := self._next()) is not None:
                 start = time.monotonic()
                 self._make(order)
                 # Parameters may change all the time: at least half of it belongs to the frames.
                 self._closed.wait(min(time.monotonic() - start, _LONGEST_REST_S))
-        finally:
-            sys.setswitchinterval(self._usual_switch_s)
 
     def _make(self, order: _Order) -> None:
         try:

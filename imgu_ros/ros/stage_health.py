@@ -10,14 +10,14 @@ from imgu_ros.ros.meters import LatencyMeter, RateMeter
 from imgu_ros.ros.stage_input import StageInput
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class StageState:
     """What a stage node knows about itself: full name, lifecycle state, whether paused, whether listened to."""
 
     name: str
-    lifecycle: str = "unconfigured"
-    paused: bool = False
-    listened: bool = False
+    lifecycle: str
+    paused: bool
+    listened: bool
 
     @property
     def works(self) -> bool:

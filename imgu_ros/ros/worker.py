@@ -155,21 +155,23 @@ class Worker:
         built = self._built
         return None if built is None else built.parameters
 
-    def use(self, images: Sequence[TargetImage]) -> tuple[Target, ...]:
-        """Look for these targets from the next frame on, with the parameters in force, and forget all tracks.
+    def build(self, images: Sequence[TargetImage]) -> Built:
+        """Return a chain for these targets, with the parameters in force; frames go on meanwhile.
 
         Raises
         ------
         ImguError
-            If an image cannot serve as a target; then nothing changes.
+            If an image cannot serve as a target.
         """
-        built = build(images, self._parameters())
+        return build(images, self._parameters(), self._built)
+
+    def use(self, built: Built) -> None:
+        """Go on with this chain from the next frame on, and forget all tracks."""
         with self._lock:
             self._rebuilder.forget()
             self._built = built
             self._last = None
             self.sought.clear()
-        return built.targets
 
     def follow(self) -> None:
         """Have the chain made anew when the parameters have changed; to be called a few times a second."""
