@@ -124,7 +124,7 @@ def measure(folder: Path, arguments: argparse.Namespace, count: int) -> Figures:
     try:
         listener = _Listener()
         time.sleep(3.0)  # the node has started by then
-        busy_s = _cpu_s(node.pid)
+        busy_s = cpu_s(node.pid)
         player = subprocess.Popen(
             [*imgu, "play", str(folder / "bag"), "--wait-for", "1", "--timeout", "30"],
             stdout=subprocess.PIPE,
@@ -133,7 +133,7 @@ def measure(folder: Path, arguments: argparse.Namespace, count: int) -> Figures:
         listener.listen(player, count / arguments.rate + _DEADLINE_S)
         played = player.communicate(timeout=10)[0]
         rss_mb = _rss_mb(node.pid)
-        busy_s = _cpu_s(node.pid) - busy_s
+        busy_s = cpu_s(node.pid) - busy_s
         started = time.monotonic()
         node.send_signal(signal.SIGINT)
         exit_code = node.wait(10)
@@ -253,7 +253,8 @@ def _rss_mb(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def _cpu_s(pid: int) -> float:
+def cpu_s(pid: int) -> float:
+    """Return the CPU time that a process has used, s."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

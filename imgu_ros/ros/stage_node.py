@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections.abc import Sequence
@@ -111,9 +110,11 @@ class StageNode(ManagedNode[StageInput]):
             else:
                 self._outputs.adapt(names, parameters)
             possible = self._outputs.qos_override_names() + self._input.qos_override_names()
-            # Six nodes may share a parameter file.
-            with contextlib.suppress(ParameterError):
+            try:
                 self._server.check_qos_overrides(dict.fromkeys(possible))
+            except ParameterError as error:
+                # No reason to refuse it: six nodes may share a parameter file.
+                self.get_logger().info(f"{error}; an override for another node?", once=True)
         if self._stage.topics(self, parameters) != self._input.topics:
             self._input.close()
             self._input = self._made_input()

@@ -35,7 +35,7 @@ class StopSignal:
         self._event = threading.Event()
         self._requested = False
         self._wakers: list[Callable[[], object]] = []
-        self._interruptible = False
+        self._interruptible = self._interrupted = False
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> StopSignal:
@@ -81,6 +81,11 @@ class StopSignal:
         self._interruptible = True
         try:
             yield
+        except Exception:
+            if self._interrupted:
+                # C code that was interrupted, as in an import, may have made an error of its own of it.
+                raise Stopped from None
+            raise
         finally:
             self._interruptible = False
 
@@ -89,6 +94,7 @@ class StopSignal:
         self._requested = True
         if self._interruptible:
             self._interruptible = False
+            self._interrupted = True
             raise Stopped
 
     def _wake(self) -> None:

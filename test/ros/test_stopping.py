@@ -37,6 +37,20 @@ def test_a_signal_ends_an_interruptible_phase_at_once():
         time.sleep(0.05)  # no longer interruptible
 
 
+def test_what_an_interrupted_import_makes_of_the_signal_is_a_stop_too():
+    with pytest.raises(Stopped), StopSignal() as stop, stop.interruptible():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+        except Stopped:
+            raise ImportError("librcl.so: initialization failed", name="rclpy") from None
+
+
+def test_other_errors_of_an_interruptible_phase_stay_what_they_are():
+    with pytest.raises(ImportError, match="no rclpy"), StopSignal() as stop, stop.interruptible():
+        raise ImportError("no rclpy")
+
+
 def test_sleeping_is_ended_by_the_signal():
     with StopSignal() as stop:
         threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
