@@ -11,15 +11,19 @@ from imgu_ros.errors import EstimationError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import DemosaicParameters, Parameters, RawParameters
 from imgu_ros.perception import tracking
+from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.develop import develop
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.prediction import Sighting, Track
 from imgu_ros.perception.refinement import Alignment
-from imgu_ros.perception.targets import Target
+from imgu_ros.perception.targets import Target, prepare_targets
 from imgu_ros.perception.tracking import follow, located
+from imgu_ros.simulate.conditions import condition_named
 from imgu_ros.simulate.sequence import SimulatedFrame
+from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.types import Image, Matrix3
+from imgu_ros.vision.camera.rotation import log_so3
 from imgu_ros.vision.formation.layout import RawImage
 from imgu_ros.vision.projective.transform import normalised_homography, transform
 
@@ -153,3 +157,25 @@ def test_an_exact_prediction_needs_no_second_try(
         followed(frame, target, track_of(last, before, surprises_px=surprises))
         assert reaches == [pytest.approx(reach)]
         reaches.clear()
+
+
+@pytest.mark.parametrize(("condition", "most_px"), [("rolling-shutter", 1.5), ("blur-5", 0.2), ("defocus-8", 0.5)])
+def test_a_covariance_is_not_much_too_small_where_the_frame_is_not_as_assumed(condition: str, most_px: float) -> None:
+    """A rolling shutter bends what is seen, blur is not in the target's picture: both make errors beyond noise."""
+    trial = Trial(condition_named(condition), 640, 480, 24)
+    parameters = parameters_from({})
+    known = known_targets(trial)
+    chain = Chain(parameters, prepare_targets(known, parameters))
+    squared, errors_px = [], []
+    for simulated in trial_frames(trial):
+        found, true = chain.process(simulated.frame).targets[0], simulated.truths[0]
+        if found.pose is None or found.homography is None:
+            continue
+        error = np.concatenate((true.pose.t - found.pose.t, log_so3(true.pose.R @ found.pose.R.T)))
+        squared.append(error @ np.linalg.solve(found.pose.covariance, error))
+        height, width = known[0].pixels.shape[:2]
+        errors_px.append(corner_error(found.homography.H, true.H, (width, height), (640, 480), simulated.frame.camera))
+    assert len(squared) >= 20
+    assert np.median(errors_px) < most_px
+    # 5.35 is exact.
+    assert np.median(squared) < 4 * 5.35

@@ -16,12 +16,18 @@ from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.projective.estimate import unscaled
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
+from imgu_ros.vision.projective.misfit import smooth_misfit
 from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.transform import local_jacobian, normalised_homography
 
 _OUTLIER_SIGMAS = 3.6
 _FLOOR_PX = 0.02
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
+#: By chance, one frame in a thousand shows more of a misfit (chi-squared of 10 degrees of freedom).
+_BY_CHANCE = 2.96
+#: Of what the residuals show beyond that, so many times as much has gone into the estimate unseen: measured with a
+#: rolling shutter.
+_UNSEEN = 9.0
 _WORST_CONDITION = 1e12
 _SMALLEST_AREA = 1e-12
 _LARGEST = 1e30
@@ -46,7 +52,7 @@ class CondensedHomography:
     normal : (8, 8) J^T J
     middle : (8, 8) J^T C J, C the correlation of the errors; `normal` where they are independent
     squares : sum of squared residuals, in units of T_dst's
-    noise : standard deviation of one residual, in units of T_dst's
+    noise : standard deviation of one residual that explains the errors, in units of T_dst's
     """
 
     estimate: HomographyEstimate
@@ -74,7 +80,8 @@ def condensed_homography(
 
     Displacements within 3.6 robust standard deviations of a robust motion are good (least trimmed squares, Rousseeuw
     1984); their least-squares motion is the estimate, to first order in the displacements. Distances
-    in dst are minimised. The covariance is that of `propagated_covariance`.
+    in dst are minimised. The covariance is that of `propagated_covariance`; it grows with what residuals of neighbours
+    share and noise does not explain (`smooth_misfit`): a lens, a shutter or a bend that the model does not know.
 
     Parameters
     ----------
@@ -149,7 +156,12 @@ def condensed_homography(
     # Correlated errors are followed by the fit more closely: trace(P C) degrees of freedom instead of P.
     taken = float(np.vdot(inverse, sums.middle))
     squares = float(left @ left)
-    noise = math.sqrt(squares / max(2 * count - taken, 1.0))
+    variance = squares / max(2 * count - taken, 1.0)
+    misfit = smooth_misfit(motions.points, left.reshape(-1, 2), kept, variance)
+    if misfit > _BY_CHANCE and correlation is not None:
+        # Errors that neighbours share are no misfit. To know how much they share takes the longest here.
+        misfit = smooth_misfit(motions.points, left.reshape(-1, 2), kept, variance, correlation)
+    noise = math.sqrt(variance * (1 + _UNSEEN * max(misfit - _BY_CHANCE, 0)))
     # The picture at H(x - d) shows x: H is followed by the inverse of the motion by d.
     H = H_dst_points @ motions.inverse(motion)
     T_src = motions.normalised @ points_from_src

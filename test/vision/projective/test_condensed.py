@@ -125,6 +125,23 @@ def test_normalised_squared_errors_are_chi_squared(correlated: bool) -> None:
     assert 7.0 < np.mean(squared) < 10.2
 
 
+def test_the_covariance_grows_with_what_the_homography_cannot_follow() -> None:
+    """A sway of half a pixel of whole rows, as of a rolling shutter, in noise of 0.05 px."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(0, 600, (120, 2))
+    noise = rng.normal(0, 0.05, (120, 2))
+    sway = np.column_stack((0.5 * np.sin(points[:, 1] / 60), np.zeros(120)))
+    motions = PlaneMotion(points)
+    still, swaying = (
+        condensed_homography(motions, d, motions.fit(d, np.ones(120, bool)), np.eye(3), np.eye(3))
+        for d in (noise, noise + sway)
+    )
+    spread = np.trace(swaying.estimate.covariance) / np.trace(still.estimate.covariance)
+    assert spread > 3 * (swaying.estimate.rms_px / still.estimate.rms_px) ** 2
+    count = np.count_nonzero(still.estimate.inliers)
+    assert still.noise == pytest.approx(np.sqrt(still.squares / (2 * count - 8)))
+
+
 def test_what_cannot_be_fitted_is_refused(points: np.ndarray) -> None:
     dst = transform(H, points)
     with pytest.raises(DegenerateConfiguration, match="coincide"):
