@@ -27,7 +27,7 @@ from imgu_ros.vision.projective.transform import faces_camera
 #: How wrong, raw px, a homography of keypoints may be.
 _DETECTION_REACH_PX = 8.0
 #: Of the patches in view, spread over the target, the share that says as much as comparing all of it.
-_CONFIRMING_SHARE = 0.6
+_CONFIRMING_SHARE = 0.8
 
 
 #: What `posed` does, or a part of it.

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from imgu_ros.errors import NoConsensus
+from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import Parameters
-from imgu_ros.perception.confirming import COARSE, confirmed_share, require_confirmed
+from imgu_ros.perception.chain import Chain
+from imgu_ros.perception.confirming import COARSE, _supported, confirmed_share, require_confirmed
 from imgu_ros.perception.develop import develop
 from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.targets import Target
+from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.types import Matrix3
 from imgu_ros.vision.projective.transform import transform
@@ -96,3 +100,28 @@ def test_a_part_in_view_and_a_darker_frame(
     pixels = np.ascontiguousarray(image.pixels[:, : image.pixels.shape[1] // 2 // 2 * 2] // 3 + 20)
     half = replace(simulated, frame=replace(simulated.frame, image=replace(image, pixels=pixels)))
     assert confirmed_share(pictures_of(half), targets[0], simulated.truths[0].H, None) > 0.8
+
+
+def test_cells_that_are_alike_by_chance_do_not_count() -> None:
+    """Such cells lie here and there; what is truly seen lies together, up to its borders."""
+    rng = np.random.default_rng(1)
+    counted = rng.uniform(size=(32, 40)) < 0.9
+    shown = np.zeros((32, 40), bool)
+    shown[:10] = counted[:10]
+    by_chance = counted & ~shown & (rng.uniform(size=shown.shape) < 0.08)
+    kept = _supported(shown | by_chance, counted)
+    assert np.count_nonzero(kept & shown) >= 0.98 * np.count_nonzero(shown)
+    assert np.count_nonzero(kept & by_chance) <= 0.25 * np.count_nonzero(by_chance)
+    assert not (kept & ~(shown | by_chance)).any()
+    assert (_supported(counted, counted) == counted).all()
+
+
+def test_a_picture_that_shares_the_header_of_a_photograph_is_not_the_photograph(data_dir: Path) -> None:
+    """Photographs have large parts in which some cells look alike by chance."""
+    photograph = cv2.cvtColor(cv2.imread(str(data_dir / "mcmaster" / "5.tif")), cv2.COLOR_BGR2RGB)
+    other = cv2.cvtColor(cv2.imread(str(data_dir / "mcmaster" / "1.tif")), cv2.COLOR_BGR2RGB)
+    parameters = parameters_from({"tracking.enabled": False})
+    chain = Chain(parameters, prepare_targets([TargetImage("photograph", photograph, 0.5)], parameters))
+    for index, simulated in enumerate(absent_frames([other], photograph, (1280, 720), 45, seed=18)):
+        if index % 3 == 2:  # those with the header
+            assert not chain.process(simulated.frame).targets[0].status.found, index
