@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -53,34 +54,20 @@ def posed(
     lens = bending(camera)
     if lens is not None:
         outline = lens.raw_pixels(outline)
+    seen = partial(replace, found, homography=homography, outline=outline)
     if camera is None:
-        return replace(
-            found,
-            homography=homography,
-            outline=outline,
-            pose_status=PoseStatus.UNCALIBRATED,
-            reason="no calibration: K is zero or there is no camera_info",
-        )
+        return seen(pose_status=PoseStatus.UNCALIBRATED, reason="no calibration: K is zero or there is no camera_info")
     if target.width_m == 0:
-        return replace(
-            found,
-            homography=homography,
-            outline=outline,
-            pose_status=PoseStatus.NO_SIZE,
-            reason="targets.widths_m is 0 for this target",
-        )
+        return seen(pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
     try:
         if located.condensed is not None:
             poses = poses_of_homography(located.condensed, camera.K, target.metres_from_template)
         else:
             poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
     except EstimationError as error:
-        return replace(found, homography=homography, outline=outline, reason=str(error))
+        return seen(reason=str(error))
     ambiguous = poses.ambiguity > parameters.pose.ambiguity_ratio
-    return replace(
-        found,
-        homography=homography,
-        outline=outline,
+    return seen(
         pose_status=PoseStatus.AMBIGUOUS if ambiguous else PoseStatus.METRIC,
         reason="both planar solutions fit" if ambiguous else "",
         pose=None if ambiguous else poses.solutions[0],
