@@ -310,7 +310,7 @@ class SearchParameters:
 @dataclass(frozen=True, slots=True)
 class RefinementParameters:
     enabled: bool = parameter(True, "Align patches of the target with the full-resolution image after detection.")
-    max_points: int = parameter(200, "Most patches aligned for each target.", minimum=16, maximum=5000)
+    max_points: int = parameter(150, "Most patches aligned for each target.", minimum=16, maximum=5000)
     window_px: int = parameter(11, "Side of an aligned patch.", unit="px", minimum=7, maximum=63)
 
 

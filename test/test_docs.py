@@ -23,6 +23,13 @@ def test_parameter_reference_is_current(repository: Path, capsys: pytest.Capture
     )
 
 
+def test_parameter_file_is_current(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["params", "--yaml"]) == 0
+    assert (repository / "config" / "perception.yaml").read_text() == capsys.readouterr().out, (
+        "run: imgu params --yaml > config/perception.yaml"
+    )
+
+
 def test_pages_are_found() -> None:
     assert {"README.md", "docs/interfaces.md", "docs/calibrate.md", "docs/reference/estimation.md"} <= set(PAGES)
 

@@ -140,7 +140,7 @@ def test_metrics_are_those_of_the_library() -> None:
             {"keypoints.max_count": 8, "homography.min_inliers": 9},
             "keypoints.max_count: 8; need at least homography.min_inliers (9)",
         ),
-        ({"homography.min_inliers": 201}, "refinement.max_points: 200; need at least homography.min_inliers (201)"),
+        ({"homography.min_inliers": 151}, "refinement.max_points: 150; need at least homography.min_inliers (151)"),
     ],
 )
 def test_what_was_got_and_what_is_needed(values: dict[str, object], message: str) -> None:
@@ -152,7 +152,7 @@ def test_what_was_got_and_what_is_needed(values: dict[str, object], message: str
 def test_counts_that_nobody_asks_for_are_free() -> None:
     alone = {"homography.min_inliers": 300, "refinement.enabled": False, "tracking.enabled": False}
     assert parameters_from(alone).refinement == RefinementParameters(enabled=False)
-    assert parameters_from({"homography.min_inliers": 200, "keypoints.max_count": 200}).keypoints.max_count == 200
+    assert parameters_from({"homography.min_inliers": 150, "keypoints.max_count": 150}).keypoints.max_count == 150
 
 
 def test_every_single_change_of_the_defaults_is_accepted() -> None:

@@ -24,6 +24,7 @@ from imgu_ros.bags.storage import RawMessage
 from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.pace import Pace
 from imgu_ros.ros.play_report import PlayReport, Span
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
@@ -201,16 +202,14 @@ class _Player:
         while True:
             with contextlib.closing(Prefetch(self._selected(), lambda m: len(m.data))) as messages:
                 messages.wait_filled(0.5)
-                # A new origin for each round: the gap between the rounds is not a delay.
-                origin = time.monotonic()
-                first_ns: int | None = None
+                # A new one for each round: the gap between the rounds is not a delay.
+                pace = Pace(self._options.rate)
                 for message in messages:
-                    first_ns = message.time_ns if first_ns is None else first_ns
-                    due = origin + (message.time_ns - first_ns) * 1e-9 / self._options.rate
-                    self._sleep_until(due, message.time_ns)
-                    self._publish(message, due)
+                    self._sleep_until(pace.earliest(message.time_ns), message.time_ns)
+                    self._late_s.append(pace.publish(message.time_ns))
+                    self._publish(message)
                     self._span.add(message.time_ns, time.monotonic())
-            if first_ns is None:
+            if not pace.has_begun:
                 raise BagError("bag: no message in the chosen part; need a later end or an earlier start")
             if not self._options.loop:
                 return
@@ -225,8 +224,7 @@ class _Player:
             if message.time_ns >= start_ns:
                 yield message
 
-    def _publish(self, message: RawMessage, due: float) -> None:
-        self._late_s.append(max(0.0, time.monotonic() - due))
+    def _publish(self, message: RawMessage) -> None:
         self._publishers[message.channel.topic].publish(message.data)
         self._published[message.channel.topic] += 1
 

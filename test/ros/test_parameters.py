@@ -185,6 +185,12 @@ def test_a_parameter_file_is_read_and_checked(make_node, tmp_path):
         make_node(arguments=["--params-file", str(file)])
 
 
+def test_the_parameter_file_of_the_package_holds_the_defaults_for_ros_too(make_node, repository):
+    """Its own parser reads other YAML than ROS does, which knows no empty list without a type."""
+    served = make_node(arguments=["--params-file", str(repository / "config" / "perception.yaml")]).server
+    assert parameter_values(served.parameters) == parameter_values(Parameters())
+
+
 def test_the_state_is_always_one_of_the_accepted_sets(make_node):
     """Random sets, right and wrong, one or several values at a time, against a model."""
     node = make_node()
