@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -45,17 +46,11 @@ class MessageDecoder:
         if isinstance(store, BagError):
             raise store
         data = decompressed_message(raw.data)
-        try:
-            if channel.serialization == Serialization.ROS1:
-                message = store.deserialize_ros1(data, channel.type_name)
-                return _as_ros2(message, channel.type_name) if channel.type_name in typestore().fielddefs else message
-            # A view, so that rosbags does not copy the message to strip the encapsulation.
-            return store.deserialize_cdr(memoryview(data), channel.type_name)
-        except BagError:
-            raise
-        except Exception as error:
-            # The generated deserialisers let through whatever damaged bytes provoke.
-            raise BagError(f"{channel.type_name}: {_one_line(error)}; need bytes of this type") from None
+        if channel.serialization != Serialization.ROS1:
+            return message_from_cdr(channel.type_name, data, store)
+        with _as_bag_errors(channel.type_name):
+            message = store.deserialize_ros1(data, channel.type_name)
+            return _as_ros2(message, channel.type_name) if channel.type_name in typestore().fielddefs else message
 
     def cdr(self, raw: RawMessage) -> bytes:
         """Return the message as CDR with its encapsulation; one of CDR as recorded, one of ROS 1 converted.
@@ -83,6 +78,36 @@ class MessageDecoder:
             except BagError as error:
                 self._stores[channel] = error
         return self._stores[channel]
+
+
+def message_from_cdr(type_name: str, data: bytes | memoryview, store: Typestore | None = None) -> Any:
+    """Return the message that CDR with its encapsulation holds; its arrays are views of `data`.
+
+    Parameters
+    ----------
+    type_name : "package/msg/Name"
+    data : as recorded, or as it comes from the middleware
+    store : that knows the type; None: the interfaces of ROS 2 Jazzy
+
+    Raises
+    ------
+    BagError
+        If the bytes are none of this type.
+    """
+    with _as_bag_errors(type_name):
+        # A view, so that rosbags does not copy the message to strip the encapsulation.
+        return (store or typestore()).deserialize_cdr(memoryview(data), type_name)
+
+
+@contextmanager
+def _as_bag_errors(type_name: str) -> Iterator[None]:
+    """Raise `BagError` for whatever damaged bytes provoke: the generated deserialisers let it through."""
+    try:
+        yield
+    except BagError:
+        raise
+    except Exception as error:
+        raise BagError(f"{type_name}: {_one_line(error)}; need bytes of this type") from None
 
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading a frame

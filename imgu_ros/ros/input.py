@@ -10,9 +10,12 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from imgu_ros.bags.decoding import message_from_cdr
+from imgu_ros.bags.messages import typestore
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.image import data_bytes
 from imgu_ros.codec.pairing import Pair, Pairing
+from imgu_ros.errors import BagError
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.middleware import large_message_warnings
@@ -23,6 +26,8 @@ from imgu_ros.ros.qos import QosCounters, camera_info_qos, image_qos, overridabl
 #: An image whose camera_info has not come by then goes without: where somebody publishes camera_info, and where nobody.
 _PATIENCE_S = 1.0
 _SHORT_PATIENCE_S = 0.3
+#: Between two warnings of messages that cannot be read.
+_REPEAT_S = 10.0
 
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _IMAGE_TYPES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/CompressedImage"}
@@ -74,6 +79,8 @@ class ImageInput:
         self.topics = input_topics(node, transport)
         self.group = MutuallyExclusiveCallbackGroup()
         self._node = node
+        for type_name in (self.topics.image_type, CAMERA_INFO_TYPE):
+            typestore().get_msgdef(type_name)  # made at the first use, for which no frame should wait
         self._pairing: Pairing[Job, Any] = Pairing()
         self._unmatched_before = 0
         self._image: Subscription | None = None
@@ -124,6 +131,7 @@ class ImageInput:
             callback_group=self.group,
             event_callbacks=QosCounters().subscription_callbacks(),
             qos_overriding_options=overridable(),
+            raw=True,
         )
         self._image = self._node.create_subscription(
             message_class(self.topics.image_type),
@@ -133,6 +141,7 @@ class ImageInput:
             callback_group=self.group,
             event_callbacks=self.counters.subscription_callbacks(),
             qos_overriding_options=overridable(),
+            raw=True,
         )
 
     def close(self) -> None:
@@ -170,7 +179,10 @@ class ImageInput:
         """Return what the camera_info subscription asks for; RuntimeError while there is none."""
         return _wanted(self._camera_info, self.topics.camera_info, CAMERA_INFO_TYPE, "camera_info")
 
-    def _on_image(self, message: Any) -> None:
+    def _on_image(self, data: bytes) -> None:
+        message = self._read(self.topics.image, self.topics.image_type, data)
+        if message is None:
+            return
         now = time.monotonic()
         self._last_s = now
         self.arrivals.tick(now)
@@ -181,9 +193,23 @@ class ImageInput:
         stamp_ns = decode_header(message).stamp_ns
         self._hand_over(self._pairing.add_image(stamp_ns, Job(message, None, now)))
 
-    def _on_camera_info(self, message: Any) -> None:
+    def _on_camera_info(self, data: bytes) -> None:
+        message = self._read(self.topics.camera_info, CAMERA_INFO_TYPE, data)
+        if message is None:
+            return
         self.infos.tick(time.monotonic())
         self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
+
+    def _read(self, topic: str, type_name: str, data: bytes) -> Any | None:
+        """Return a message; None where its bytes are none of its type.
+
+        rclpy copies an image's pixels three times, this not once, and a message that cannot be read raises nothing.
+        """
+        try:
+            return message_from_cdr(type_name, data)
+        except BagError as error:
+            self._node.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=_REPEAT_S)
+            return None
 
     def _hand_over(self, pairs: list[Pair[Job, Any]]) -> None:
         for pair in pairs:

@@ -56,7 +56,7 @@ class Spinner:
         self._frames.spin_once(timeout_sec=self._rest_period_s)
         now = time.monotonic()
         if now >= self._rest_due_s:
-            busy = self._call_all_ready() >= _SEVERAL
+            busy = self._call_all_ready(group) >= _SEVERAL
             # Fewer looks only little by little: what came in a burst may go on.
             self._rest_period_s = _BUSY_PERIOD_S if busy else min(_REST_PERIOD_S, 1.5 * self._rest_period_s)
             self._rest_due_s = now + self._rest_period_s
@@ -74,24 +74,27 @@ class Spinner:
         self._all.remove_node(self._node)
         self._all.shutdown(timeout_sec=0)
 
-    def _call_all_ready(self) -> int:
-        """Call what is ready, but not for ever; return how many callbacks that were."""
-        called = 0
+    def _call_all_ready(self, group: CallbackGroup) -> int:
+        """Call what is ready, but not for ever; return how many callbacks that were, without those of the group."""
+        called = others = 0
         while called < _MOST_AT_ONCE:
             looked = called
             try:
                 # One look finds at most one request of a service.
                 while called < _MOST_AT_ONCE:
-                    handler, _, _ = self._all.wait_for_ready_callbacks(timeout_sec=0)
+                    ready: tuple[Any, Any, Any] = self._all.wait_for_ready_callbacks(timeout_sec=0)
+                    handler, entity, _ = ready
                     handler()
                     handler.result()  # raises what the callback raised
                     called += 1
+                    # Frames come anyhow: many of them are no reason to look for other things more often.
+                    others += getattr(entity, "callback_group", None) is not group
             except TimeoutException:
                 if called == looked:
                     break
             except ShutdownException:
                 break
-        return called
+        return others
 
     def _drop_frames(self) -> None:
         """Forget the executor of the frames' callbacks: it may hold on to a subscription that is to go."""

@@ -6,12 +6,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
+import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 
 from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import image_message
+from imgu_ros.codec.image import decode_image, image_message
 from imgu_ros.ros.input import ImageInput, input_topics
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.simulate.texture import procedural_texture
@@ -73,16 +75,17 @@ def test_callbacks_hand_over_and_count(make_node, monkeypatch):
     for stamp_ns in stamps:
         image = image_message(make_message, Header(stamp_ns, "cam"), pixels, "mono8")
         info.header = image.header
-        source._on_camera_info(info)
-        source._on_image(image)
+        source._on_camera_info(serialize_message(info))
+        source._on_image(serialize_message(image))
     jobs = [source.slot.take() for _ in range(3 - source.slot.skipped)]
     assert jobs[-1] is not None
     assert jobs[-1].image.header.stamp.nanosec == 30
-    assert jobs[-1].camera_info is info
+    assert jobs[-1].camera_info.header.stamp.nanosec == 30
+    assert np.array_equal(decode_image(jobs[-1].image).pixels, pixels)
     assert source.arrivals.count == source.infos.count == 3
     assert source.unmatched == 0
     # An image whose camera_info never comes is not held for ever.
-    source._on_image(image_message(make_message, Header(40, "cam"), pixels, "mono8"))
+    source._on_image(serialize_message(image_message(make_message, Header(40, "cam"), pixels, "mono8")))
     source.check_waiting()
     source._last_s -= 10
     source.check_waiting()
@@ -93,3 +96,14 @@ def test_callbacks_hand_over_and_count(make_node, monkeypatch):
     assert source.unmatched == 1
     source.close()
     assert not source.is_open
+
+
+def test_bytes_that_are_no_message_are_passed_over(make_node):
+    source = ImageInput(make_node(), "raw")
+    whole = serialize_message(image_message(make_message, Header(1, "cam"), np.zeros((48, 64), np.uint8), "mono8"))
+    for damaged in (b"", b"\0\1\0\0", whole[:40], whole[:-100], whole + bytes(100), b"\7" + whole[1:]):
+        source._on_image(damaged)
+        source._on_camera_info(damaged)
+    assert source.arrivals.count == source.infos.count == 0
+    source._on_image(whole)
+    assert source.arrivals.count == 1
