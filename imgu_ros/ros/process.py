@@ -16,6 +16,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from imgu_ros.bags.switching import one_processor_left_over
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.ros.spinning import Spinner
 from imgu_ros.ros.stopping import Stopped, StopSignal
@@ -57,7 +58,9 @@ def run_node(make_node: Callable[[], Node], ros_arguments: Sequence[str], stop: 
             with stop.interruptible():
                 node.start()  # type: ignore[attr-defined]
             spare_collector()
-            _spin(node, stop)
+            # Of the few processors of a robot the camera's driver and the middleware need one.
+            with one_processor_left_over():
+                _spin(node, stop)
         finally:
             finished = node.close()  # type: ignore[attr-defined]
             node.destroy_node()

@@ -1,18 +1,21 @@
 """Runs a node's callbacks in one thread, those that come with every frame at little cost.
 
 rclpy's executor gathers all that a node waits for before each callback. For a node with parameters, services and a
-lifecycle those are some fifty things, more work than the callbacks themselves at 100 frames a second. Here the
-executor looks at the few that bring frames nearly every time, and at the rest twenty times a second, or more often
-while there is more to do.
+lifecycle those are some fifty things, more work than the callbacks themselves at 100 frames a second. Here the few
+that bring frames are waited for by themselves, and the executor looks at everything twenty times a second, or more
+often while there is more to do.
 """
 
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutException
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 #: How long services, timers and parameters may wait while frames come.
@@ -35,7 +38,7 @@ class Spinner:
         self._node = node
         self._all = SingleThreadedExecutor(context=node.context)
         self._all.add_node(node)
-        self._frames: _GroupExecutor | None = None
+        self._frames: _FrameWait | None = None
         self._rest_due_s = 0.0
         self._rest_period_s = _REST_PERIOD_S
 
@@ -52,8 +55,8 @@ class Spinner:
             return
         if self._frames is None or self._frames.group is not group:
             self._drop_frames()
-            self._frames = _GroupExecutor(self._node, group)
-        self._frames.spin_once(timeout_sec=self._rest_period_s)
+            self._frames = _FrameWait(self._node, group)
+        self._frames.spin_once(self._rest_period_s)
         now = time.monotonic()
         if now >= self._rest_due_s:
             busy = self._call_all_ready(group) >= _SEVERAL
@@ -97,35 +100,56 @@ class Spinner:
         return others
 
     def _drop_frames(self) -> None:
-        """Forget the executor of the frames' callbacks: it may hold on to a subscription that is to go."""
-        if self._frames is not None:
-            self._frames.shutdown(timeout_sec=0)
-            self._frames = None
+        """Forget what waits for frames: it may hold on to a subscription that is to go."""
+        frames, self._frames = self._frames, None
+        if frames is not None:
+            frames.close()
 
 
-class _GroupExecutor(SingleThreadedExecutor):
-    """Looks at the subscriptions of one callback group, whose node belongs to another executor."""
+class _FrameWait:
+    """Waits for the subscriptions of one callback group and calls them, as `rclpy.wait_for_message` waits for one.
+
+    rclpy's executor makes a timer, a wait set and a task for each message, which takes longer than a small message
+    itself. Events of the subscriptions are left to it: they come soon enough with the rest.
+    """
 
     def __init__(self, node: Node, group: CallbackGroup) -> None:
-        super().__init__(context=node.context)
         self.group = group
-        self._part = _Part(node, group)
-
-    def get_nodes(self) -> list[Any]:
-        return [self._part]
-
-
-class _Part:
-    """What an executor asks a node for, as far as it is of one callback group."""
-
-    # Not the subscriptions' events either: an executor knows them by their place among those that it waits for, and
-    # the other executor waits for more. They come soon enough with the rest.
-    timers = clients = services = guards = waitables = ()
-
-    def __init__(self, node: Node, group: CallbackGroup) -> None:
         self._node = node
-        self._group = group
+        self._guard = GuardCondition(None, None, context=node.context)
+        self._wait_set: Any = None
+        self._room = -1
 
-    @property
-    def subscriptions(self) -> list[Any]:
-        return [one for one in self._node.subscriptions if one.callback_group is self._group]
+    def spin_once(self, timeout_s: float) -> None:
+        """Wait for a message or for `wake`, no longer than `timeout_s`, and call what has come."""
+        waiting = [one for one in self._node.subscriptions if one.callback_group is self.group]
+        handles = [one.handle for one in waiting]
+        context = self._node.context.handle
+        with ExitStack() as held:
+            for handle in (*handles, self._guard.handle, context):
+                held.enter_context(handle)
+            if self._room != len(handles):
+                self._wait_set = rclpy_implementation.WaitSet(len(handles), 1, 0, 0, 0, 0, context)
+                self._room = len(handles)
+            self._wait_set.clear_entities()
+            for handle in handles:
+                self._wait_set.add_subscription(handle)
+            self._wait_set.add_guard_condition(self._guard.handle)
+            self._wait_set.wait(round(timeout_s * 1e9))
+            ready = self._wait_set.get_ready_entities("subscription")
+            taken = [
+                (one, one.handle.take_message(one.msg_type, one.raw)) for one in waiting if one.handle.pointer in ready
+            ]
+        for one, message in taken:
+            if message is not None:
+                one.callback(message[0])
+
+    def wake(self) -> None:
+        """Let a `spin_once` that waits return; from any thread."""
+        with suppress(rclpy_implementation.InvalidHandle):  # closed meanwhile: nobody waits
+            self._guard.trigger()
+
+    def close(self) -> None:
+        """Let go of the subscriptions."""
+        self._wait_set = None
+        self._guard.destroy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -101,3 +102,46 @@ def test_what_a_callback_raises_is_raised(spun: Spun) -> None:
     spun.publisher.publish(message_class(TYPE)(data="a"))
     with pytest.raises(ValueError, match="callback"):
         spun.until(lambda: False, timeout_s=5)
+
+
+def test_a_wake_ends_a_wait_and_does_no_harm_afterwards(spun: Spun) -> None:
+    for _ in range(200):
+        waiting = threading.Thread(target=spun.spinner.spin_once, args=(spun.group,))
+        waiting.start()
+        spun.spinner.wake()
+        waiting.join(10)
+        assert not waiting.is_alive()
+    stop = threading.Event()
+
+    def keep_waking() -> None:
+        while not stop.is_set():
+            spun.spinner.wake()
+
+    waking = threading.Thread(target=keep_waking)
+    waking.start()
+    try:
+        timer = spun.node.create_timer(0.001, lambda: None)
+        for index in range(200):
+            spun.spinner.spin_once(spun.group if index % 2 else None)
+        assert waking.is_alive()
+    finally:
+        stop.set()
+        waking.join(10)
+        spun.node.destroy_timer(timer)
+
+
+def test_a_group_may_lose_and_get_subscriptions_while_it_is_waited_for(spun: Spun) -> None:
+    spun.until(spun.publisher.get_subscription_count)
+    others: list[str] = []
+    other = spun.node.create_subscription(
+        message_class(TYPE), "others", lambda m: others.append(m.data), output_qos(50), callback_group=spun.group
+    )
+    publisher = spun.node.create_publisher(message_class(TYPE), "others", output_qos(50))
+    spun.until(publisher.get_subscription_count)
+    publisher.publish(message_class(TYPE)(data="a"))
+    spun.until(lambda: others)
+    spun.node.destroy_subscription(other)
+    spun.publisher.publish(message_class(TYPE)(data="b"))
+    spun.until(lambda: spun.got)
+    spun.node.destroy_subscription(spun.subscription)
+    spun.spinner.spin_once(spun.group)  # of an empty group only time ends the wait
