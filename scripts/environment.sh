@@ -13,6 +13,10 @@ unset PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTAT
 if [[ ${LD_LIBRARY_PATH:-} == */ros/* ]]; then unset LD_LIBRARY_PATH; fi
 export PIP_USER=0 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1
 
+# The two parts of the suite, as arguments of pytest: two files at a time; and what is live, with the machine for itself.
+OFFLINE=(-n 2 --dist loadfile --ignore test/ros)
+LIVE=(test/ros)
+
 fail() {
     echo "${0##*/}: error: $*" >&2
     exit 1
