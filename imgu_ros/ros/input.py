@@ -67,6 +67,7 @@ class ImageInput:
     slot : where the worker takes from
     arrivals, infos : images and camera_info delivered
     counters : lost messages and incompatible QoS
+    unreadable : why the last image message could not be read; "" when it could
     topics : what is subscribed
     group : of the subscriptions' callbacks
     """
@@ -76,6 +77,7 @@ class ImageInput:
         self.arrivals = RateMeter()
         self.infos = RateMeter()
         self.counters = QosCounters()
+        self.unreadable = ""
         self.topics = input_topics(node, transport)
         self.group = MutuallyExclusiveCallbackGroup()
         self._node = node
@@ -150,6 +152,7 @@ class ImageInput:
             if subscription is not None:
                 self._node.destroy_subscription(subscription)
         self._image = self._camera_info = None
+        self.unreadable = ""
         self.slot.clear()
 
     def check_waiting(self) -> None:
@@ -180,7 +183,7 @@ class ImageInput:
         return _wanted(self._camera_info, self.topics.camera_info, CAMERA_INFO_TYPE, "camera_info")
 
     def _on_image(self, data: bytes) -> None:
-        message = self._read(self.topics.image, self.topics.image_type, data)
+        message, self.unreadable = self._read(self.topics.image, self.topics.image_type, data)
         if message is None:
             return
         now = time.monotonic()
@@ -194,22 +197,23 @@ class ImageInput:
         self._hand_over(self._pairing.add_image(stamp_ns, Job(message, None, now)))
 
     def _on_camera_info(self, data: bytes) -> None:
-        message = self._read(self.topics.camera_info, CAMERA_INFO_TYPE, data)
+        message, _ = self._read(self.topics.camera_info, CAMERA_INFO_TYPE, data)
         if message is None:
             return
         self.infos.tick(time.monotonic())
         self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
 
-    def _read(self, topic: str, type_name: str, data: bytes) -> Any | None:
-        """Return a message; None where its bytes are none of its type.
+    def _read(self, topic: str, type_name: str, data: bytes) -> tuple[Any | None, str]:
+        """Return a message, or None and why its bytes are none of its type.
 
-        rclpy copies an image's pixels three times, this not once, and a message that cannot be read raises nothing.
+        rclpy's own conversion copies an image's pixels twice more, and raises where no callback can catch it.
         """
         try:
-            return message_from_cdr(type_name, data)
+            return message_from_cdr(type_name, data), ""
         except BagError as error:
-            self._node.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=_REPEAT_S)
-            return None
+            said = f"{topic}: {error}"
+            self._node.get_logger().warning(said, throttle_duration_sec=_REPEAT_S)
+            return None, said
 
     def _hand_over(self, pairs: list[Pair[Job, Any]]) -> None:
         for pair in pairs:

@@ -26,6 +26,9 @@ _SECOND_NS = 1e9
 
 def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
     """Yield why no image comes, or why too few do; nothing while the input is not subscribed or may still begin."""
+    if source.unreadable:
+        yield Cause(Kind.REJECTED, source.unreadable)
+        return
     silent_s = source.silent_s(now_s)
     if silent_s >= _DISCOVERY_S:
         cause = why_not_offered(node, source.wanted_images())

@@ -38,7 +38,7 @@ class Pace:
         since_last_s = max(0, time_ns - self._last[0]) * 1e-9 / self._rate
         return max(self._due(time_ns), self._last[1] + _HURRY * since_last_s)
 
-    def publish(self, time_ns: int) -> float:
+    def published(self, time_ns: int) -> float:
         """Note that the message recorded at `time_ns` is published now; return how late that is, s."""
         now = self._clock()
         self._last = (time_ns, now)

@@ -206,7 +206,7 @@ class _Player:
                 pace = Pace(self._options.rate)
                 for message in messages:
                     self._sleep_until(pace.earliest(message.time_ns), message.time_ns)
-                    self._late_s.append(pace.publish(message.time_ns))
+                    self._late_s.append(pace.published(message.time_ns))
                     self._publish(message)
                     self._span.add(message.time_ns, time.monotonic())
             if not pace.has_begun:

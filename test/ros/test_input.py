@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 import pytest
@@ -14,7 +15,9 @@ from rclpy.serialization import serialize_message
 
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import decode_image, image_message
+from imgu_ros.ros.cause import Kind
 from imgu_ros.ros.input import ImageInput, input_topics
+from imgu_ros.ros.input_causes import image_causes
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -99,11 +102,17 @@ def test_callbacks_hand_over_and_count(make_node, monkeypatch):
 
 
 def test_bytes_that_are_no_message_are_passed_over(make_node):
-    source = ImageInput(make_node(), "raw")
+    node = make_node()
+    source = ImageInput(node, "raw")
     whole = serialize_message(image_message(make_message, Header(1, "cam"), np.zeros((48, 64), np.uint8), "mono8"))
     for damaged in (b"", b"\0\1\0\0", whole[:40], whole[:-100], whole + bytes(100), b"\7" + whole[1:]):
         source._on_image(damaged)
         source._on_camera_info(damaged)
     assert source.arrivals.count == source.infos.count == 0
+    (cause,) = image_causes(node, source, time.monotonic())
+    assert cause.kind is Kind.REJECTED
+    assert cause.text.startswith("/image_raw: sensor_msgs/msg/Image: ")
+    assert cause.text.endswith("need bytes of this type")
     source._on_image(whole)
     assert source.arrivals.count == 1
+    assert not list(image_causes(node, source, time.monotonic()))

@@ -24,7 +24,7 @@ class Played:
             self.now += (hold_ups or {}).get(index, 0.0)
             self.now = max(self.now, pace.earliest(time_ns))
             assert pace.has_begun
-            self.late_s.append(pace.publish(time_ns))
+            self.late_s.append(pace.published(time_ns))
             self.at_s.append(self.now - 100.0)
 
 
