@@ -17,7 +17,6 @@ from imgu_ros.bags.read_ahead import ReadFrame, read_ahead, size_of
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recorded_topics import checked_record
 from imgu_ros.bags.result_sink import ResultSink, result_sink
-from imgu_ros.bags.switching import one_processor_left_over, quick_thread_switches
 from imgu_ros.bags.written import Files, Written
 from imgu_ros.codec.results import needs_keypoints
 from imgu_ros.errors import BagError, ParameterError
@@ -28,6 +27,7 @@ from imgu_ros.perception.result import Result, Status, TargetResult
 from imgu_ros.perception.targets import Target, prepare_targets
 from imgu_ros.report.summary import Source, Summary
 from imgu_ros.simulate.truth import read_truth
+from imgu_ros.threads import one_processor_left_over, quick_thread_switches
 
 #: Of pictures that are read and developed and wait for the chain.
 _AHEAD_BYTES = 16_000_000

@@ -9,7 +9,7 @@ from typing import TypeVar
 from rclpy.executors import Executor
 from rclpy.task import Future
 
-from imgu_ros.ros.rebuilding import switching_often
+from imgu_ros.threads import quick_thread_switches
 
 T = TypeVar("T")
 
@@ -32,7 +32,7 @@ class Beside:
 
         def run() -> None:
             try:
-                with switching_often():
+                with quick_thread_switches():
                     result = work()
             except Exception as error:
                 future.set_exception(error)

@@ -206,7 +206,7 @@ class ImageInput:
     def _read(self, topic: str, type_name: str, data: bytes) -> tuple[Any | None, str]:
         """Return a message, or None and why its bytes are none of its type.
 
-        rclpy's own conversion copies an image's pixels twice more, and raises where no callback can catch it.
+        rclpy's own conversion copies an image's pixels twice more, and passes over what it cannot read without a word.
         """
         try:
             return message_from_cdr(type_name, data), ""

@@ -16,10 +16,10 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from imgu_ros.bags.switching import one_processor_left_over
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.ros.spinning import Spinner
 from imgu_ros.ros.stopping import Stopped, StopSignal
+from imgu_ros.threads import one_processor_left_over
 
 
 class RunnableNode(Protocol):

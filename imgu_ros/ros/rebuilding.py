@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from imgu_ros.errors import ImguError
 from imgu_ros.params import HomographyParameters, Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.threads import quick_thread_switches
 
-#: How long a thread may keep the interpreter while a chain is made, and usually, s.
-_SWITCH_S, _USUAL_SWITCH_S = 0.0005, sys.getswitchinterval()
 #: The longest rest between two chains, s.
 _LONGEST_REST_S = 1.0
 
@@ -53,19 +50,6 @@ def build(images: Sequence[TargetImage], parameters: Parameters, before: Built |
     # Now, before frames come: later the first thorough search would hold them up.
     chain.prepare()
     return Built(chain, targets, images, parameters)
-
-
-@contextlib.contextmanager
-def switching_often() -> Iterator[None]:
-    """Let a thread that computes for long give the interpreter to others soon, however often they want it.
-
-    Callbacks that bring frames give it away and want it back many times over.
-    """
-    sys.setswitchinterval(_SWITCH_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(_USUAL_SWITCH_S)
 
 
 class Rebuilder:
@@ -117,7 +101,7 @@ class Rebuilder:
         return thread is None or not thread.is_alive()
 
     def _run(self) -> None:
-        with switching_often():
+        with quick_thread_switches():
             while (order := self._next()) is not None:
                 start = time.monotonic()
                 self._make(order)

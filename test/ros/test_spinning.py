@@ -91,6 +91,7 @@ def test_without_the_group_a_destroyed_subscription_is_gone(spun: Spun) -> None:
     spun.until(lambda: spun.got)
     spun.node.destroy_subscription(spun.subscription)
     spun.until(lambda: not spun.publisher.get_subscription_count(), with_group=False)
+    assert spun.got == ["a"]
 
 
 def test_what_a_callback_raises_is_raised(spun: Spun) -> None:
@@ -145,3 +146,4 @@ def test_a_group_may_lose_and_get_subscriptions_while_it_is_waited_for(spun: Spu
     spun.until(lambda: spun.got)
     spun.node.destroy_subscription(spun.subscription)
     spun.spinner.spin_once(spun.group)  # of an empty group only time ends the wait
+    assert (others, spun.got) == (["a"], ["b"])

@@ -10,20 +10,22 @@ import cv2
 
 #: Python's own 5 ms are longer than a frame's time.
 _INTERVAL_S = 0.0005
+#: Not what was set when a block began: blocks of several threads overlap, and the last one to end must not keep it.
+_USUAL_S = sys.getswitchinterval()
 
 
 @contextlib.contextmanager
 def quick_thread_switches() -> Iterator[None]:
     """Let threads take turns at short intervals inside the block.
 
-    A thread that comes back from a function of OpenCV waits that long for one that runs Python.
+    A thread that comes back from a function of OpenCV, or a callback that brings a frame, waits that long for one that
+    runs Python.
     """
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(min(before, _INTERVAL_S))
+    sys.setswitchinterval(min(_USUAL_S, _INTERVAL_S))
     try:
         yield
     finally:
-        sys.setswitchinterval(before)
+        sys.setswitchinterval(_USUAL_S)
 
 
 @contextlib.contextmanager
