@@ -17,10 +17,12 @@ class Frame:
     image : the raw pixels and their layout
     stamp_ns : time of exposure, as the header says, in nanoseconds
     frame_id : the camera's optical frame
-    camera : intrinsics; None when the camera is not calibrated
+    camera : intrinsics; None when the camera is not calibrated, or what camera_info says of it cannot be used
+    camera_reason : why there is no camera, for people; empty when there is one
     """
 
     image: RawImage
     stamp_ns: int
     frame_id: str
     camera: Camera | None
+    camera_reason: str = ""

@@ -30,6 +30,7 @@ class Camera:
     distortion : (5,) for plumb_bob, (8,) for rational_polynomial, (4,) for equidistant; zeros: none
     model : the distortion model
     width, height : image size in px
+    covariance : (4 + D, 4 + D) of fx, fy, cx, cy and the D numbers of `distortion`; None: taken as exact
     """
 
     K: Matrix3
@@ -37,6 +38,7 @@ class Camera:
     model: DistortionModel
     width: int
     height: int
+    covariance: Floats | None = None
 
     @property
     def is_distorted(self) -> bool:
