@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imgu_ros.bench.measuring import Measured, Sample
+from imgu_ros.simulate.truth import NEES_95
 
 #: A homography further off than this is no find.
 FOUND_PX = 10.0
@@ -56,10 +57,6 @@ class Figures:
     nees_below: float | None
     stages_ms: dict[str, float] = field(default_factory=dict)
     reasons: dict[str, int] = field(default_factory=dict)
-
-
-#: 95 % point of chi-squared with 6 degrees of freedom.
-NEES_95 = 12.59
 
 
 def figures(condition: str, kind: str, size: str, method: str, runs: Sequence[Measured]) -> Figures:

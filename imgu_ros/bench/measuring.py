@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import zip_longest
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.scene import size_of
 from imgu_ros.simulate.sequence import SimulatedFrame
-from imgu_ros.simulate.truth import Truth, corner_error
+from imgu_ros.simulate.truth import Truth, corner_error, normalised_squared_error
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rotation import log_so3
 
@@ -30,7 +31,7 @@ class Sample:
     answered : whether the method gave a homography
     corner_px : error of the corners, infinite beyond the horizon; None without answer or without truth
     rotation_deg, translation_percent : errors of the pose; the translation's of the true distance
-    nees : squared error of the pose in units of its covariance (6 on average when it is right)
+    nees : see `normalised_squared_error`
     status, reason : the method's words
     """
 
@@ -66,41 +67,63 @@ class Measured:
     timings: list[Timing]
 
 
-def measure(
-    methods: Sequence[Method],
-    batches: Iterable[Sequence[SimulatedFrame]],
-    targets: Sequence[TargetImage],
-    every: Mapping[str, int] | None = None,
-) -> Measured:
-    """Show the same frames to every method.
+@dataclass(frozen=True, slots=True, eq=False)
+class Show:
+    """Frames, and the methods that they are shown to.
 
-    On each frame the methods take turns, and who begins changes from frame to frame, so that a slower or faster moment
-    of the machine, and what one leaves in the caches, meets them alike. Frames are made before the clock runs.
-
-    Parameters
+    Attributes
     ----------
     methods : forget all earlier frames first
     batches : frames in order, in lists that are complete before they are worked on
     targets : the known ones, as the methods have them
     every : methods that see every n-th frame only, by name
+    """
+
+    methods: Sequence[Method]
+    batches: Iterable[Sequence[SimulatedFrame]]
+    targets: Sequence[TargetImage]
+    every: Mapping[str, int] = field(default_factory=dict)
+
+
+def measure(show: Show) -> Measured:
+    """Show the same frames to every method.
+
+    On each frame the methods take turns, and who begins changes from frame to frame, so that a slower or faster moment
+    of the machine, and what one leaves in the caches, meets them alike. Frames are made before the clock runs.
 
     Returns
     -------
     samples in the order of frames, and timings
     """
-    for method in methods:
-        method.reset()
-    measured = Measured([], [])
-    sizes = {target.name: size_of(target) for target in targets}
-    index = 0
-    for batch in batches:
-        for simulated in batch:
-            turn = index % len(methods)
-            for method in (*methods[turn:], *methods[:turn]):
-                if every is None or index % every.get(method.name, 1) == 0:
-                    _shown(method, index, simulated, sizes, measured)
-            index += 1
+    return measure_in_turn([show])[0]
+
+
+def measure_in_turn(shows: Sequence[Show]) -> list[Measured]:
+    """Measure several shows, a list of frames of each in turn, so that a slower moment of the machine meets all alike.
+
+    Returns
+    -------
+    as `measure`, one for each show
+    """
+    measured = [Measured([], []) for _ in shows]
+    for show in shows:
+        for method in show.methods:
+            method.reset()
+    counts = [0] * len(shows)
+    for batches in zip_longest(*(show.batches for show in shows), fillvalue=()):
+        for number, batch in enumerate(batches):
+            _shown_batch(shows[number], batch, counts[number], measured[number])
+            counts[number] += len(batch)
     return measured
+
+
+def _shown_batch(show: Show, batch: Sequence[SimulatedFrame], first: int, measured: Measured) -> None:
+    sizes = {target.name: size_of(target) for target in show.targets}
+    for index, simulated in enumerate(batch, first):
+        turn = index % len(show.methods)
+        for method in (*show.methods[turn:], *show.methods[:turn]):
+            if index % show.every.get(method.name, 1) == 0:
+                _shown(method, index, simulated, sizes, measured)
 
 
 def _shown(
@@ -151,8 +174,7 @@ def _sample(
         rotation = float(np.rad2deg(np.linalg.norm(delta_r)))
         translation = float(100 * np.linalg.norm(delta_t) / np.linalg.norm(true.t))
         if answer.covariance is not None:
-            delta = np.concatenate((delta_t, delta_r))
-            nees = float(delta @ np.linalg.solve(answer.covariance, delta))
+            nees = normalised_squared_error(true, pose, answer.covariance)
     return Sample(
         method,
         index,

@@ -10,7 +10,7 @@ import numpy as np
 
 from imgu_ros.bench.figures import Figures, figures
 from imgu_ros.bench.lineup import DETECTION, METHODS, ORB, SIFT, TRACKING, check_method, make_method
-from imgu_ros.bench.measuring import Measured, measure
+from imgu_ros.bench.measuring import Show, measure, measure_in_turn
 from imgu_ros.bench.memory import PeakMemory, peak_memory, resident_mb
 from imgu_ros.errors import ParameterError
 from imgu_ros.params import Parameters
@@ -122,8 +122,8 @@ def check_options(options: Options) -> None:
 
 
 def _table(options: Options) -> Iterator[Row]:
+    yield from _run(PLAIN, options.sizes, False, (TRACKING, DETECTION, ORB, SIFT), options)
     for size in options.sizes:
-        yield from _run(PLAIN, size, False, (TRACKING, DETECTION, ORB, SIFT), options)
         for name in options.methods:
             yield peak_memory(name, *size)
 
@@ -131,31 +131,41 @@ def _table(options: Options) -> Iterator[Row]:
 def _tracking(options: Options) -> Iterator[Row]:
     for size in options.sizes:
         for condition in options.conditions:
-            yield from _run(condition, size, False, (TRACKING, ORB, SIFT), options)
+            yield from _run(condition, (size,), False, (TRACKING, ORB, SIFT), options)
 
 
 def _detection(options: Options) -> Iterator[Row]:
     for size in options.sizes:
         for condition in options.conditions:
-            yield from _run(condition, size, True, (DETECTION, ORB, SIFT), options)
+            yield from _run(condition, (size,), True, (DETECTION, ORB, SIFT), options)
 
 
 def _run(
-    condition: Condition, size: tuple[int, int], unrelated: bool, names: Sequence[str], options: Options
+    condition: Condition,
+    sizes: Sequence[tuple[int, int]],
+    unrelated: bool,
+    names: Sequence[str],
+    options: Options,
 ) -> Iterator[Figures]:
+    """Yield the figures of each size; the sizes are measured in turn, so that their times can be compared."""
     names = [name for name in names if name in options.methods]
     if not names:
         return
-    runs: list[Measured] = []
     # Of single frames none leads to another: SIFT's share is to be of all of them.
     every = {} if unrelated else {SIFT: options.sift_every}
+    runs = []
     for seed in options.seeds:
-        trial = Trial(condition, *size, options.frames, seed, unrelated)
-        targets = known_targets(trial)
-        methods = [make_method(name, targets, options.parameters) for name in names]
-        runs.append(measure(methods, trial_batches(trial, _BATCH), targets, every))
-    for name in names:
-        yield figures(condition.name, SINGLE if unrelated else SEQUENCE, _text(size), name, runs)
+        shows = []
+        for size in sizes:
+            trial = Trial(condition, *size, options.frames, seed, unrelated)
+            targets = known_targets(trial)
+            methods = [make_method(name, targets, options.parameters) for name in names]
+            shows.append(Show(methods, trial_batches(trial, _BATCH), targets, every))
+        runs.append(measure_in_turn(shows))
+    for number, size in enumerate(sizes):
+        for name in names:
+            of_size = [run[number] for run in runs]
+            yield figures(condition.name, SINGLE if unrelated else SEQUENCE, _text(size), name, of_size)
 
 
 def _negatives(options: Options) -> Iterator[Row]:
@@ -168,7 +178,7 @@ def _negatives(options: Options) -> Iterator[Row]:
             targets = known_targets(Trial(PLAIN, seed=seed))
             methods = [make_method(name, targets, options.parameters) for name in names]
             frames = absent_frames(photographs, targets[0].pixels, size, options.negatives, seed)
-            runs.append(measure(methods, _batches(frames), targets))
+            runs.append(measure(Show(methods, _batches(frames), targets)))
         for name in names:
             yield figures("photographs" if options.photographs else "textures", ABSENT, _text(size), name, runs)
 
@@ -194,15 +204,14 @@ def _targets(options: Options) -> Iterator[Row]:
             methods = [make_method(name, targets, options.parameters) for name in names]
             simulation = Simulation(*size, max(options.frames, LAP_FRAMES), 30.0, options.seeds[0])
             frames = islice(simulate_sequence(simulation, in_view), options.frames)
-            measured = measure(methods, _batches(frames), targets)
+            measured = measure(Show(methods, _batches(frames), targets))
             for name in names:
                 yield figures(f"known-{known}", SEQUENCE, _text(size), name, [measured])
 
 
 def _resolution(options: Options) -> Iterator[Row]:
     short = replace(options, frames=min(options.frames, _RESOLUTION_FRAMES))
-    for size in _RESOLUTIONS:
-        yield from _run(PLAIN, size, False, (TRACKING, DETECTION, ORB), short)
+    yield from _run(PLAIN, _RESOLUTIONS, False, (TRACKING, DETECTION, ORB), short)
 
 
 def _length(options: Options) -> Iterator[Row]:

@@ -12,7 +12,8 @@ from imgu_ros.bench.suites import ABSENT, SEQUENCE, Growth, Row
 from imgu_ros.simulate.conditions import PLAIN
 
 _HEAD = (
-    "method", "ms", "p95 ms", "cpu ms", "ORB / it", "SIFT / it", "corner p50 px", "p95 px", "found", "<= 1 px", "false",
+    "method", "ms", "p95 ms", "cpu ms", "ORB / it (ms / cpu / px)",
+    "SIFT / it (ms / cpu / px)", "corner p50 px", "p95 px", "found", "<= 1 px", "false",
     "rotation deg", "position %", "NEES p50",
 )  # fmt: skip
 
@@ -115,13 +116,15 @@ def _stage_lines(rows: Sequence[Figures]) -> list[tuple[str, ...]]:
 
 
 def _quotient(recipe: Figures | None, row: Figures) -> str:
-    """Return how many times a recipe's time, and its corner error, are this row's."""
+    """Return how many times a recipe's time, its processor time and its corner error are this row's."""
     if recipe is None or row.method in (ORB, SIFT):
         return ""
-    time = f"{recipe.median_ms / row.median_ms:.1f}x" if row.median_ms else ""
-    if not recipe.corner_p50_px or not row.corner_p50_px:
-        return time
-    return f"{time} {recipe.corner_p50_px / row.corner_p50_px:.0f}x px"
+    pairs = (
+        (recipe.median_ms, row.median_ms, ".1f"),
+        (recipe.cpu_ms, row.cpu_ms, ".1f"),
+        (recipe.corner_p50_px, row.corner_p50_px, ".0f"),
+    )
+    return " / ".join(f"{theirs / ours:{digits}}" if theirs and ours else "-" for theirs, ours, digits in pairs)
 
 
 def _table(lines: Sequence[Sequence[str]], markdown: bool) -> str:

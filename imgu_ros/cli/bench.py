@@ -1,7 +1,8 @@
 """Measure this machine: the chain beside what people write with OpenCV (ORB and SIFT recipes), on the same frames.
 
 Frames are simulated Bayer mosaics with exact truth. Every method sees each frame in turn, in one process, with the same
-number of OpenCV threads; times are medians of a single frame, from Bayer to pose. Suites:
+number of OpenCV threads; times are medians of a single frame, from Bayer to pose, on the wall clock and of all
+processors together (cpu), which other processes disturb less; it says when they took too much of the machine. Suites:
 
   table       smooth sequences at several sizes: time, accuracy, memory (the default: a few minutes)
   tracking    a sequence under each condition: occlusion, blur, light, lenses, sizes, tilts, copies, look-alikes
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING
 from imgu_ros.cli.options import add_parameter_options, parameters_of
 
 if TYPE_CHECKING:
-    from imgu_ros.bench.machine import Machine
+    from imgu_ros.bench.machine import Machine, ProcessorUse
     from imgu_ros.bench.suites import Options, Row
     from imgu_ros.types import Image
 
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure, print the tables, write the files."""
     options = _options(arguments)
-    from imgu_ros.bench.machine import this_machine
+    from imgu_ros.bench.machine import processor_times, processor_use, this_machine
     from imgu_ros.bench.suites import check_options, run_suite
     from imgu_ros.bench.tables import tables
     from imgu_ros.cli.progress import Progress
@@ -73,19 +74,23 @@ def run(arguments: argparse.Namespace) -> int:
     check_options(options)
     if arguments.out:
         _make_folder(arguments.out)
-    machine = this_machine()
+    machine, begin = this_machine(), processor_times()
     rows: list[Row] = []
+    use: ProcessorUse | None = None
     with Progress("bench", "rows") as progress:
         for row in run_suite(arguments.suite, options):
             rows.append(row)
             progress(len(rows), None)
+            now = processor_times()
+            use = processor_use(begin, now) if begin and now else None
             if arguments.out:  # what is measured is kept, whatever happens to the rest
-                _write_json(arguments, machine, rows)
-    print(machine.described())
+                _write_json(arguments, machine, use, rows)
+    where = f"{machine.described()}\n{use.described() if use else 'what else the machine did is not known'}"
+    print(where)
     print()
     print(tables(rows, markdown=arguments.markdown))
     if arguments.out:
-        _write_rest(arguments.out, machine, rows)
+        _write_rest(arguments.out, where, rows)
         print(
             f"\n{arguments.out}: {', '.join(name for name in (JSON, TABLE, PLOT) if (arguments.out / name).exists())}"
         )
@@ -135,7 +140,7 @@ def _make_folder(folder: Path) -> None:
         raise FileError(f"{folder}: {error.strerror}; need a folder that can be written") from None
 
 
-def _write_json(arguments: argparse.Namespace, machine: Machine, rows: list[Row]) -> None:
+def _write_json(arguments: argparse.Namespace, machine: Machine, use: ProcessorUse | None, rows: list[Row]) -> None:
     from dataclasses import asdict
 
     from imgu_ros.files.text_files import write_text
@@ -143,6 +148,7 @@ def _write_json(arguments: argparse.Namespace, machine: Machine, rows: list[Row]
     kinds = {"Figures": "figures", "PeakMemory": "memory", "Growth": "growth"}
     document: dict[str, object] = {
         "machine": asdict(machine),
+        "processor_use": None if use is None else {**asdict(use), "quiet": use.quiet},
         "suite": arguments.suite,
         "frames": arguments.frames,
         "seeds": list(arguments.seeds),
@@ -154,13 +160,13 @@ def _write_json(arguments: argparse.Namespace, machine: Machine, rows: list[Row]
     write_text(arguments.out / JSON, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
-def _write_rest(out: Path, machine: Machine, rows: list[Row]) -> None:
+def _write_rest(out: Path, where: str, rows: list[Row]) -> None:
     from imgu_ros.bench.figures import Figures
     from imgu_ros.bench.plots import write_plot
     from imgu_ros.bench.tables import tables
     from imgu_ros.files.text_files import write_text
 
-    write_text(out / TABLE, f"{machine.described()}\n\n{tables(rows, markdown=True)}\n")
+    write_text(out / TABLE, f"{where}\n\n{tables(rows, markdown=True)}\n")
     write_plot(out / PLOT, [row for row in rows if isinstance(row, Figures)])
 
 

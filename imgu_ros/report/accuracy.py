@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.simulate.truth import Truth, corner_error
+from imgu_ros.simulate.truth import Truth, corner_error, normalised_squared_error
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import rigid_transform
@@ -27,7 +27,7 @@ class RowErrors:
     corner_px : see `corner_error`; at most 10000
     rotation_deg : angle between the estimated and the true rotation
     translation_percent : distance between the estimated and the true position, of the true distance
-    nees : squared error of the pose in units of its covariance, over 6
+    nees : see `normalised_squared_error`
     true_position : (3,) of the camera in the target's frame, m
     """
 
@@ -84,18 +84,17 @@ class TruthComparison:
         corner_px = None if H is None else self._corner_px(H, truth)
         if truth.pose is None:
             return RowErrors(corner_px=corner_px)
-        R_true, t_true = truth.pose.R, truth.pose.t
         true_position = truth.pose.inverse().t
         if pose is None or covariance is None:
             return RowErrors(corner_px=corner_px, true_position=true_position)
         estimate = rigid_transform(pose)
-        delta_r = log_so3(R_true @ estimate.R.T)
-        delta_t = t_true - estimate.t
+        delta_r = log_so3(truth.pose.R @ estimate.R.T)
+        delta_t = truth.pose.t - estimate.t
         return RowErrors(
             corner_px=corner_px,
             rotation_deg=float(np.rad2deg(np.linalg.norm(delta_r))),
-            translation_percent=float(100 * np.linalg.norm(delta_t) / np.linalg.norm(t_true)),
-            nees=_nees(np.concatenate((delta_t, delta_r)), covariance),
+            translation_percent=float(100 * np.linalg.norm(delta_t) / np.linalg.norm(truth.pose.t)),
+            nees=normalised_squared_error(truth.pose, estimate, covariance),
             true_position=true_position,
         )
 
@@ -110,10 +109,3 @@ class TruthComparison:
 def camera_position(pose: Floats) -> Floats:
     """Return where the camera is in the target's frame, (3,) m, from camera_from_target (7,)."""
     return rigid_transform(pose).inverse().t
-
-
-def _nees(delta: Floats, covariance: Floats) -> float | None:
-    try:
-        return float(delta @ np.linalg.solve(covariance, delta)) / 6
-    except np.linalg.LinAlgError:
-        return None

@@ -61,7 +61,8 @@ class Source:
 class TargetSummary:
     """One target over all frames; percentiles are None where no frame has the quantity.
 
-    `nees` is the pose's squared error in units of its covariance, over 6: its mean is 1 when the covariance is honest.
+    `nees` is the pose's squared error in units of its covariance: mean 6, median 5.35, 95 % below 12.59 when the
+    covariance is right.
     """
 
     name: str

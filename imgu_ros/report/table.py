@@ -85,7 +85,7 @@ class ErrorColumns:
     Attributes
     ----------
     corner_px, rotation_deg, translation_percent : (R,)
-    nees : (R,) squared error of the pose in units of its covariance, over 6: 1 on average when honest
+    nees : (R,) squared error of the pose in units of its covariance; see `normalised_squared_error`
     true_position : (R, 3) of the camera in the target's frame, m
     """
 

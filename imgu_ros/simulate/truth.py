@@ -16,9 +16,13 @@ from imgu_ros.files.frames_csv import H_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform
+from imgu_ros.vision.camera.rotation import log_so3
 
 _POSE_COLUMNS = (*T_COLUMNS, *Q_COLUMNS)
 COLUMNS = ("stamp_ns", "target", *H_COLUMNS, *_POSE_COLUMNS)
+
+#: Median and 95 % point of `normalised_squared_error` when the covariance is right: chi-squared, 6 degrees of freedom.
+NEES_MEDIAN, NEES_95 = 5.35, 12.59
 
 _GRID = 9
 
@@ -165,3 +169,25 @@ def _truth(row: dict[str, str], where: str) -> Truth:
         raise FileError(f"{where}: {error}") from None
     except (TypeError, ValueError) as error:
         raise FileError(f"{where}: {error}; need finite numbers") from None
+
+
+def normalised_squared_error(truth: RigidTransform, estimate: RigidTransform, covariance: Floats) -> float | None:
+    """Return the squared error of a pose in units of its covariance (normalised estimation error squared, NEES).
+
+    Of poses whose covariance is right its mean is 6, its median `NEES_MEDIAN`, and 95 % lie below `NEES_95`
+    (Bar-Shalom, Li & Kirubarajan 2001, section 5.4.2).
+
+    Parameters
+    ----------
+    truth, estimate : of the same frames
+    covariance : (6, 6), x y z rx ry rz; R_true = Exp(delta) R_est
+
+    Returns
+    -------
+    None when the covariance is singular.
+    """
+    delta = np.concatenate((truth.t - estimate.t, log_so3(truth.R @ estimate.R.T)))
+    try:
+        return float(delta @ np.linalg.solve(covariance, delta))
+    except np.linalg.LinAlgError:
+        return None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.bench.lineup import METHODS, make_method
-from imgu_ros.bench.measuring import measure
+from imgu_ros.bench.measuring import Show, measure
 from imgu_ros.bench.recipes import Recipe
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.perception.targets import TargetImage
@@ -24,7 +24,7 @@ from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 def test_methods_find_the_target(name: str, condition: str) -> None:
     trial = Trial(condition_named(condition), 640, 480, frames=2)
     targets = known_targets(trial)
-    measured = measure([make_method(name, targets)], trial_batches(trial), targets)
+    measured = measure(Show([make_method(name, targets)], trial_batches(trial), targets))
     for sample in measured.samples:
         assert sample.corner_px is not None and sample.corner_px < 2.5
         assert sample.rotation_deg is not None and sample.rotation_deg < 8

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from itertools import groupby, islice
 from pathlib import Path
 
 import cv2
 import pytest
 
 from imgu_ros.bench.figures import Figures
-from imgu_ros.bench.machine import this_machine
+from imgu_ros.bench.machine import ProcessorTimes, processor_times, processor_use, this_machine
 from imgu_ros.bench.memory import peak_memory, resident_mb
+from imgu_ros.bench.methods import Answered, ChainMethod
 from imgu_ros.bench.plots import write_plot
 from imgu_ros.bench.suites import Growth, Options, Suite, run_suite
 from imgu_ros.bench.tables import tables
 from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.perception.frame import Frame
 from imgu_ros.simulate.conditions import PLAIN, condition_named
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -74,19 +80,24 @@ def test_impossible_options_are_refused(options: Options, message: str) -> None:
         next(run_suite(Suite.TABLE, options))
 
 
-def row(method: str, ms: float, px: float | None, condition: str = "plain") -> Figures:
+def row(method: str, ms: float, px: float | None, condition: str = "plain", cpu_ms: float = 0.0) -> Figures:
     return Figures(
-        condition, "sequence", "640x480", method, 9, ms, 2 * ms, ms, px, px, 0.5, 0.25, 3, None, None, None, None, None,
-        {"refine": 1.5},
+        condition, "sequence", "640x480", method, 9, ms, 2 * ms, cpu_ms or ms, px, px, 0.5, 0.25, 3,
+        None, None, None, None, None, {"refine": 1.5},
     )  # fmt: skip
 
 
 def test_tables_show_figures_and_quotients() -> None:
-    rows = [row("tracking", 2.0, 0.1), row("ORB", 10.0, 1.0), row("SIFT", 100.0, None), Growth("640x480", 5, 1.0, 2.5)]
+    rows = [
+        row("tracking", 2.0, 0.1, cpu_ms=1.0),
+        row("ORB", 10.0, 1.0),
+        row("SIFT", 100.0, None),
+        Growth("640x480", 5, 1.0, 2.5),
+    ]
     plain = tables(rows)
     ours = next(line for line in plain.splitlines() if "ours, tracking" in line)
     assert ours.split() == (
-        "640x480 ours, tracking 2.0 4.0 2.0 5.0x 10x px 50.0x 0.100 0.100 50.0% 25.0% 3 - - -".split()
+        "640x480 ours, tracking 2.0 4.0 1.0 5.0 / 10.0 / 10 50.0 / 100.0 / - 0.100 0.100 50.0% 25.0% 3 - - -".split()
     )
     assert "refine" in plain and "1.50" in plain and "+1.5" in plain
     for line in tables(rows, markdown=True).splitlines():
@@ -108,6 +119,56 @@ def test_machine_is_described() -> None:
     assert machine.opencv_threads == cv2.getNumThreads()
     assert machine.cores <= (os.cpu_count() or 1)
     assert machine.versions["opencv"] in machine.described()
+
+
+def test_sizes_of_the_table_are_measured_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A moment in which the machine is slow makes no size look dear."""
+    seen: list[int] = []
+    answer = ChainMethod.answer
+
+    def noted(self: ChainMethod, frame: Frame) -> Answered:
+        seen.append(frame.image.pixels.shape[1])
+        return answer(self, frame)
+
+    monkeypatch.setattr(ChainMethod, "answer", noted)
+    options = replace(SMALL, sizes=((320, 240), (160, 120)), frames=30, methods=("tracking",))
+    list(islice(run_suite(Suite.TABLE, options), 2))
+    assert [(width, len(list(same))) for width, same in groupby(seen)] == [(320, 24), (160, 24), (320, 6), (160, 6)]
+
+
+@pytest.mark.parametrize(
+    ("busy", "stolen", "own", "quiet", "words"),
+    [
+        (12.0, 0.0, 11.0, True, "other processes used 0.10"),
+        (18.0, 0.0, 11.0, False, "TOO LOADED to compare wall times"),
+        (11.0, 6.0, 11.0, False, "the host 0.60 of"),
+        (10.9, 0.0, 11.0, True, "other processes used 0.00"),
+    ],
+)
+def test_a_loaded_machine_is_told(
+    busy: float, stolen: float, own: float, quiet: bool, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    use = processor_use(ProcessorTimes(5.0, 100.0, 1.0, 2.0), ProcessorTimes(15.0, 100 + busy, 1 + stolen, 2 + own))
+    assert use.own == pytest.approx(1.1) and use.seconds == 10
+    assert use.quiet is quiet and words in use.described()
+
+
+@pytest.mark.skipif(not Path("/proc/stat").is_file(), reason="Linux only")
+def test_another_process_is_counted_as_another() -> None:
+    code = "import time; end = time.monotonic() + 20\nwhile time.monotonic() < end: pass"
+    other = subprocess.Popen([sys.executable, "-c", code], start_new_session=True)
+    try:
+        time.sleep(0.2)
+        before = processor_times()
+        time.sleep(1.0)
+        after = processor_times()
+    finally:
+        other.kill()
+        other.wait()
+    assert before is not None and after is not None
+    use = processor_use(before, after)
+    assert use.others > 0.3 and use.own < 0.3
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="Linux only")

@@ -23,6 +23,8 @@ def test_measures_prints_and_writes(tmp_path: Path, capsys: pytest.CaptureFixtur
     printed = capsys.readouterr().out
     assert "ours, detecting" in printed and "SIFT recipe" in printed and "blur-5" in printed
     document = json.loads((out / "bench.json").read_text())
+    assert set(document["processor_use"]) == {"seconds", "cores", "own", "others", "stolen", "quiet"}
+    assert "other processes used" in (out / "bench.md").read_text()
     assert [(f["condition"], f["method"]) for f in document["figures"]] == [
         (c, m) for c in ("plain", "blur-5") for m in ("detection", "ORB", "SIFT")
     ]

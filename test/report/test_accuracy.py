@@ -36,8 +36,8 @@ def test_known_errors() -> None:
     assert errors.corner_px == pytest.approx(5)
     assert errors.rotation_deg == pytest.approx(3)
     assert errors.translation_percent == pytest.approx(1)
-    # Two standard deviations in x, three about z: (4 + 9) / 6.
-    assert errors.nees == pytest.approx(13 / 6)
+    # Two standard deviations in x, three about z.
+    assert errors.nees == pytest.approx(13)
 
 
 def test_no_truth_for_this_stamp_or_target() -> None:

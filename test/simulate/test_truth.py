@@ -9,13 +9,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from imgu_ros.errors import FileError, ShapeError
 from imgu_ros.simulate.geometry import rotation_about
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, default_camera
-from imgu_ros.simulate.truth import COLUMNS, Truth, corner_error, read_truth, write_truth
+from imgu_ros.simulate.truth import (
+    COLUMNS,
+    NEES_95,
+    NEES_MEDIAN,
+    Truth,
+    corner_error,
+    normalised_squared_error,
+    read_truth,
+    write_truth,
+)
 from imgu_ros.vision.camera.intrinsics import DistortionModel
 from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.camera.rotation import exp_so3
 
 TEMPLATE, IMAGE = (100, 60), (640, 480)
 
@@ -143,3 +154,20 @@ def test_missing_truth_file_and_unwritable_place_are_refused(tmp_path: Path) -> 
         read_truth(tmp_path / "none.csv")
     with pytest.raises(FileError, match="need a file that can be written"):
         write_truth(tmp_path / "no" / "truth.csv", [])
+
+
+def test_normalised_squared_errors_are_chi_squared() -> None:
+    generator = np.random.default_rng(5)
+    root = generator.normal(size=(6, 6)) * [1e-3, 1e-3, 5e-3, 1e-3, 2e-3, 1e-4]
+    covariance = root @ root.T
+    truth = RigidTransform(exp_so3([0.3, -0.2, 0.1]), np.array([0.1, 0.2, 1.5]))
+    squared = []
+    for _ in range(2000):
+        delta = root @ generator.normal(size=6)
+        estimate = RigidTransform(exp_so3(-delta[3:]) @ truth.R, truth.t - delta[:3])
+        squared.append(normalised_squared_error(truth, estimate, covariance))
+    assert np.mean(squared) == pytest.approx(6, abs=0.4)
+    assert np.median(squared) == pytest.approx(NEES_MEDIAN, abs=0.4)
+    assert np.mean(np.array(squared) < NEES_95) == pytest.approx(0.95, abs=0.02)
+    assert chi2(6).ppf([0.5, 0.95]) == pytest.approx([NEES_MEDIAN, NEES_95], abs=0.005)
+    assert normalised_squared_error(truth, truth, np.zeros((6, 6))) is None
