@@ -23,7 +23,8 @@ _SHOWN_CHARACTERS = 80
 def checked_value(name: str, value: object) -> ParameterValue:
     """Return `value` in the declared type of the parameter `name`.
 
-    An integer serves as a double, and a list or array as an array; nothing else is converted.
+    An integer serves as a double, a list or numpy array as an array, and one value as an array of one; nothing else is
+    converted.
 
     Raises
     ------
@@ -33,11 +34,23 @@ def checked_value(name: str, value: object) -> ParameterValue:
     known = declaration(name)
     if known.type_name.endswith("_array"):
         element = known.type_name.removesuffix("_array")
+        if isinstance(value, bool | int | float | str):
+            value = [value]
         if not _is_list(value):
             raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need a list of {element}s")
         items = list(cast("Iterable[object]", value))
         return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
     return cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
+
+
+def value_or_empty(name: str, value: object) -> object:
+    """Return what ROS gives for a parameter; no value means an empty list: ROS cannot tell the type of `[]`."""
+    return () if value is None and declaration(name).type_name.endswith("_array") else value
+
+
+def is_empty_group(name: str, value: object) -> bool:
+    """Return whether a name without a value is a group's (`homography: {}`), which says nothing."""
+    return value is None and any(known.name.startswith(f"{name}.") for known in declarations())
 
 
 def parameters_from(values: Mapping[str, object], base: Parameters | None = None) -> Parameters:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ _GROUP = "parameters (see `imgu params`)"
 
 
 def add_parameter_options(parser: argparse.ArgumentParser, only: tuple[str, ...] = ()) -> None:
-    """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated, and the later one wins, as in ROS 2.
+    """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated and count as in ROS 2.
 
     Parameters
     ----------
@@ -51,21 +52,21 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
         If a parameter file cannot be read.
     """
     from imgu_ros.errors import ParameterError
-    from imgu_ros.files.parameter_files import parse_override, read_parameter_file
+    from imgu_ros.files.parameter_files import GivenParameters
     from imgu_ros.parameter_values import parameters_from
 
-    values: dict[str, object] = dict(extra or {})
-    given: list[str] = []
+    given = GivenParameters()
+    overridden: list[str] = []
     for kind, text in arguments.overrides or ():
         if kind == "file":
-            values.update(read_parameter_file(Path(text)))
+            given.add_file(Path(text))
         else:
-            name, value = parse_override(text)
-            values[name] = value
-            given.append(name)
-    parameters = parameters_from(values)
+            overridden.append(given.add_override(text))
+    parameters = parameters_from(dict(extra or {}) | given.values())
+    for line in given.warnings():
+        print(f"imgu: warning: {line}", file=sys.stderr)
     only = arguments.used_parameters
-    for name in given:
+    for name in overridden:
         if only and not any(name == one or name.startswith(f"{one}.") for one in only):
             raise ParameterError(f"{name}: no part of this command; need one of {', '.join(only)}")
     return parameters

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
-import yaml
-
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.files.yaml_values import parsed_value, parsed_yaml, plain_value
-from imgu_ros.parameter_values import checked_value
+from imgu_ros.files.rcl_parameters import SECTION, RclParameters, section_applies, with_slash
+from imgu_ros.parameter_values import checked_value, is_empty_group, value_or_empty
 from imgu_ros.params import Declaration, declarations
 
 _MAX_BYTES = 2**22
-_SECTION = "ros__parameters"
 #: Parameters that every ROS 2 node has by itself; without ROS they mean nothing.
 _OF_EVERY_NODE = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
 
 
 def read_parameter_file(path: Path | str, node_name: str = "perception") -> dict[str, object]:
     """Return the values that a ROS 2 parameter file gives to a node, by full name ("homography.threshold_px").
-
-    Sections for all nodes (`/**`) come first, then those of the node's own name. Other nodes' sections do not count.
 
     Parameters
     ----------
@@ -37,21 +32,9 @@ def read_parameter_file(path: Path | str, node_name: str = "perception") -> dict
         If it is no YAML, has no section for the node, or a parameter is unknown (the nearest known one is named), of
         the wrong type, or out of range.
     """
-    path = Path(path)
-    root = parsed_yaml(_text(path), str(path))
-    if not isinstance(root, yaml.MappingNode):
-        raise ParameterError(f"{path}: no sections; need '/**:' or '{node_name}:' with '{_SECTION}:' in it")
-    values: dict[str, object] = {}
-    for section in _sections_of(root, path, node_name):
-        for name, node in _flattened(section, "", path):
-            if _OF_EVERY_NODE.fullmatch(name):
-                continue
-            value = plain_value(node, f"{path}: {name}")
-            try:
-                values[name] = checked_value(name, value)
-            except ParameterError as error:
-                raise ParameterError(f"{path}: {error}") from None
-    return values
+    given = GivenParameters(node_name)
+    given.add_file(path)
+    return given.values()
 
 
 def parse_override(text: str) -> tuple[str, object]:
@@ -62,10 +45,81 @@ def parse_override(text: str) -> tuple[str, object]:
     ParameterError
         If there is no ":=", no name, no value, or the value is neither a scalar nor a list of scalars.
     """
-    name, separator, value = text.partition(":=")
-    if not separator or not name.strip():
-        raise ParameterError(f"{text!r}: no parameter name and value; need NAME:=VALUE")
-    return name.strip(), parsed_value(value, name.strip())
+    parameters = RclParameters()
+    name = parameters.add_override(text)
+    return name, parameters.entries(lambda section: True)[name].value
+
+
+class GivenParameters:
+    """The parameter files and overrides of one command line, combined as ROS 2 combines them for a live node.
+
+    Parameters
+    ----------
+    node_name : with or without namespace. Without ROS there is no namespace: where a file has no section of exactly
+        this name, the section of its only node of this name in a namespace is meant
+    """
+
+    def __init__(self, node_name: str = "perception") -> None:
+        self._name = node_name.strip("/")
+        self._given = RclParameters()
+        self._in_namespace: set[str] = set()
+
+    def add_file(self, path: Path | str) -> None:
+        """Add a parameter file; FileError or ParameterError if it cannot be used."""
+        path = Path(path)
+        sections = list(dict.fromkeys(self._given.add_file(parameter_file_bytes(path), str(path))))
+        if any(section_applies(section, f"/{self._name}") for section in sections if "*" not in section):
+            return
+        others = [section for section in sections if "/" not in self._name and section.endswith(f"/{self._name}")]
+        same = [section for section in others if "*" not in section]
+        if len(same) > 1:
+            raise ParameterError(f"{path}: several sections for node {self._name!r} ({', '.join(same)}); need one")
+        self._in_namespace.update(same)
+        if not any(map(self._applies, sections)):
+            names = ", ".join(sections) or "none"
+            need = f"'/**:' or '{self._name}:' with '{SECTION}:' in it"
+            raise ParameterError(f"{path}: no section for node {self._name!r} (found: {names}); need {need}")
+
+    def add_override(self, text: str) -> str:
+        """Add "NAME:=VALUE" and return the name; ParameterError if it cannot be parsed."""
+        return self._given.add_override(text)
+
+    def values(self) -> dict[str, object]:
+        """Return the checked values by full name; what every ROS 2 node has by itself is left out.
+
+        Raises
+        ------
+        ParameterError
+            If a parameter is unknown, of the wrong type, or out of range.
+        """
+        values: dict[str, object] = {}
+        for name, entry in self._given.entries(self._applies).items():
+            if _OF_EVERY_NODE.fullmatch(name) or is_empty_group(name, entry.value):
+                continue
+            try:
+                values[name] = checked_value(name, value_or_empty(name, entry.value))
+            except ParameterError as error:
+                raise ParameterError(f"{entry.source}: {error}" if entry.source else str(error)) from None
+        return values
+
+    def warnings(self) -> list[str]:
+        """Return a line for each parameter that ROS 2 leaves at another value than the one that was given last."""
+        return self._given.overruled(self._applies)
+
+    def _applies(self, section: str) -> bool:
+        section = with_slash(section)
+        return section in self._in_namespace or section_applies(section, f"/{self._name}")
+
+
+def parameter_file_bytes(path: Path | str) -> bytes:
+    """Return a parameter file's content; FileError if it cannot be read or is too large to be one."""
+    path = Path(path)
+    try:
+        if path.is_file() and path.stat().st_size > _MAX_BYTES:
+            raise FileError(f"{path}: {path.stat().st_size} bytes; need a parameter file")
+        return path.read_bytes()
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need a parameter file") from None
 
 
 def parameter_file_text(values: Mapping[str, object] | None = None, names: Collection[str] | None = None) -> str:
@@ -78,7 +132,7 @@ def parameter_file_text(values: Mapping[str, object] | None = None, names: Colle
 
     ROS 2 cannot tell the type of an empty list: such parameters are commented out.
     """
-    lines = ["# Parameters of imgu_ros. A line left out keeps its default.", "/**:", f"  {_SECTION}:"]
+    lines = ["# Parameters of imgu_ros. A line left out keeps its default.", "/**:", f"  {SECTION}:"]
     groups: tuple[str, ...] = ()
     for known in declarations():
         if names is not None and known.name not in names:
@@ -93,70 +147,6 @@ def parameter_file_text(values: Mapping[str, object] | None = None, names: Colle
         is_empty_list = isinstance(value, list | tuple) and not value
         lines.append(f"{_indent(len(parents))}{'# ' if is_empty_list else ''}{leaf}: {_yaml(value)}")
     return _without_empty_groups(lines)
-
-
-def _text(path: Path) -> str:
-    try:
-        if path.is_file() and path.stat().st_size > _MAX_BYTES:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; need a parameter file")
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a parameter file") from None
-    except UnicodeDecodeError:
-        raise ParameterError(f"{path}: not a text file; need a YAML parameter file") from None
-
-
-def _sections_of(root: yaml.MappingNode, path: Path, node_name: str) -> list[yaml.MappingNode]:
-    """Return the sections for the node: wildcards first, then its own."""
-    found = list(_sections(root, "", path))
-    full_name = "/" + node_name.strip("/")
-    wild = [node for name, node in found if "*" in name and _pattern(name).fullmatch(full_name)]
-    own = [(name, node) for name, node in found if "*" not in name and name == full_name]
-    if not own and "/" not in node_name.strip("/"):
-        # Without ROS there is no namespace: the section of the only node of this name will be meant.
-        own = [
-            (name, node) for name, node in found if "*" not in name and name.rpartition("/")[2] == node_name.strip("/")
-        ]
-        if len({name for name, _ in own}) > 1:
-            names = ", ".join(sorted({name for name, _ in own}))
-            raise ParameterError(f"{path}: several sections for node {node_name!r} ({names}); need one")
-    if not wild and not own:
-        names = ", ".join(name for name, _ in found) or "none"
-        need = f"'/**:' or '{node_name}:' with '{_SECTION}:' in it"
-        raise ParameterError(f"{path}: no section for node {node_name!r} (found: {names}); need {need}")
-    return [*wild, *(node for _, node in own)]
-
-
-def _sections(node: yaml.MappingNode, prefix: str, path: Path) -> Iterator[tuple[str, yaml.MappingNode]]:
-    """Yield each node's full name (or pattern) and its parameters."""
-    for key, value in node.value:
-        name = str(key.value)
-        if name == _SECTION:
-            if not prefix:
-                raise ParameterError(f"{path}: '{_SECTION}:' outside of a node's section; need '/**:' above it")
-            if isinstance(value, yaml.MappingNode):
-                yield prefix, value
-            elif value.value != "":
-                raise ParameterError(f"{path}: {prefix}: '{_SECTION}:' holds no names; need NAME: VALUE lines")
-        elif isinstance(value, yaml.MappingNode):
-            yield from _sections(value, f"{prefix}/{name.strip('/')}", path)
-
-
-def _pattern(name: str) -> re.Pattern[str]:
-    """Return the expression for a name with rcl's wildcards: `*` is one token, `**` any number of them."""
-    tokens = {"**": r"(/\w+)*", "*": r"/\w+"}
-    return re.compile("".join(tokens.get(token, "/" + re.escape(token)) for token in name.strip("/").split("/")))
-
-
-def _flattened(node: yaml.MappingNode, prefix: str, path: Path) -> Iterator[tuple[str, yaml.Node]]:
-    for key, value in node.value:
-        if not isinstance(key, yaml.ScalarNode) or not key.value:
-            raise ParameterError(f"{path}: line {key.start_mark.line + 1}: a name is no text; need NAME: VALUE")
-        name = f"{prefix}{key.value}"
-        if isinstance(value, yaml.MappingNode):
-            yield from _flattened(value, f"{name}.", path)
-        else:
-            yield name, value
 
 
 def _indent(depth: int) -> str:

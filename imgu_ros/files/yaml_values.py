@@ -1,116 +1,118 @@
-"""YAML values with the meanings that rcl's parameter parser gives them, which are not PyYAML's.
+"""Scalars of YAML with the types that rcl's parameter parser gives them, which are not PyYAML's.
 
-`1e-3` is a number and `null` a text; a list holds scalars of one type; there are no aliases. Source:
-rcl_yaml_param_parser of ROS 2 Jazzy.
+`1e-3` is a double, `010` the integer 8 and `null` a string. Source: `get_value` of rcl_yaml_param_parser (ROS 2 Jazzy),
+which uses C's strtoll and strtod.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import sys
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
 
 import yaml
 
 from imgu_ros.errors import ParameterError
 
+#: The parser that rcl uses is libyaml. PyYAML has it where it was built with it; its own accepts nearly the same.
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
+_STRING_TAG = "tag:yaml.org,2002:str"
+#: What C's isspace accepts: strtoll and strtod skip it before a number.
+_SPACE = " \t\n\v\f\r"
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
-_FLOAT = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_HEX_FLOAT = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?[0-9]+)?")
-_SPECIAL = {".nan": "nan", ".NaN": "nan", ".NAN": "nan", ".inf": "inf", ".Inf": "inf", ".INF": "inf"}
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_HEXADECIMAL = re.compile(r"[+-]?0[xX](?P<whole>[0-9a-fA-F]*)\.?(?P<part>[0-9a-fA-F]*)([pP](?P<power>[+-]?[0-9]+))?")
+_NAMED = re.compile(r"[+-]?(inf(inity)?|nan(\([0-9a-zA-Z_]*\))?)", re.IGNORECASE)
+#: YAML's own names of infinity, which C does not know.
+_INFINITIES = (".inf", ".Inf", ".INF")
+_YAML_NAMES = frozenset((".nan", ".NaN", ".NAN", *(sign + name for sign in ("", "+", "-") for name in _INFINITIES)))
 
 
-def parsed_yaml(text: str, name: str) -> yaml.Node | None:
-    """Return the tree of a YAML text; None when it is empty.
-
-    Raises
-    ------
-    ParameterError
-        If it is no YAML, or uses aliases; `name` says where.
-    """
-    try:
-        has_alias = any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader))
-        tree = None if has_alias else yaml.compose(text, yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        raise ParameterError(f"{name}: {line}{' '.join(str(error.problem).split())}; need valid YAML") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ParameterError(f"{name}: {' '.join(str(error).split())[:120]}; need valid YAML") from None
-    if has_alias:
-        raise ParameterError(f"{name}: has YAML aliases, which ROS 2 does not read; need plain values")
-    return tree
-
-
-def parsed_value(text: str, name: str) -> object:
-    """Return the value of a YAML text: bool, int, float, str, or a list of one of them; ParameterError otherwise."""
-    node = parsed_yaml(text, name)
-    if node is None:
-        raise ParameterError(f"{name}: no value; need one")
-    return plain_value(node, name)
-
-
-def plain_value(node: yaml.Node, name: str) -> object:
-    """Return the value of a YAML node, as `parsed_value`."""
-    if isinstance(node, yaml.ScalarNode):
-        return _scalar(node, name)
-    if not isinstance(node, yaml.SequenceNode):
-        raise ParameterError(f"{name}: holds names; need a value or a list of values")
-    values: list[object] = []
-    for item in node.value:
-        if not isinstance(item, yaml.ScalarNode):
-            raise ParameterError(f"{name}: a list in a list; need a list of values")
-        values.append(_scalar(item, name))
-    kinds = list(dict.fromkeys(type(value).__name__ for value in values))
-    if len(kinds) > 1:
-        hint = " (write 1.0, not 1)" if set(kinds) == {"int", "float"} else ""
-        raise ParameterError(f"{name}: a list of {' and '.join(kinds)}; need values of one type{hint}")
-    return values
-
-
-def _scalar(node: yaml.ScalarNode, name: str) -> object:
-    text: str = node.value
-    if node.style is not None or (node.tag.endswith(":str") and not _is_plain(node)):
+def scalar_value(event: yaml.ScalarEvent) -> bool | int | float | str:
+    """Return the value of a scalar as rcl types it: bool, int of 64 bits, float, or else the text itself."""
+    text = str(event.value).partition("\0")[0]  # a C string ends there
+    if event.tag == _STRING_TAG or event.style in ("'", '"'):
         return text
-    if text == "":
-        raise ParameterError(f"{name}: no value; need one")
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
-    if _INTEGER.fullmatch(text):
-        return _integer(text)
-    return _float_or_text(text)
+    number = text.lstrip(_SPACE)
+    value: int | float | None = _integer(number)
+    if value is None:
+        value = _double(number)
+    return text if value is None else value
 
 
-def _float_or_text(text: str) -> float | str:
-    """Parse as C's strtod, which leaves what is too large to be a text."""
-    unsigned = text.lstrip("+-")
-    if len(text) - len(unsigned) > 1:
-        return text
-    if unsigned in _SPECIAL:
-        return float(text.replace(unsigned, _SPECIAL[unsigned]))
-    if unsigned.lower() in ("inf", "infinity", "nan"):
-        return float(text)
+def yaml_events(data: bytes, source: str) -> Iterator[yaml.Event]:
+    """Yield the events of a YAML text, in UTF-8 or, with a byte order mark, UTF-16; ParameterError if it is no YAML."""
+    if not data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        try:
+            data.decode("utf-8")
+        except UnicodeDecodeError as error:
+            line = data[: error.start].count(b"\n") + 1
+            byte = data[error.start]
+            raise ParameterError(
+                f"{source}: line {line}: byte 0x{byte:02X} is no UTF-8; need a text in UTF-8"
+            ) from None
     try:
-        if _FLOAT.fullmatch(text):
-            value = float(text)
-            return text if math.isinf(value) else value
-        return float.fromhex(text) if _HEX_FLOAT.fullmatch(text) else text
-    except OverflowError:
-        return text
+        yield from yaml.parse(data, _LOADER)
+    except yaml.MarkedYAMLError as error:
+        line_text = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ParameterError(f"{source}: {line_text}{' '.join(str(error.problem).split())}; need valid YAML") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise ParameterError(f"{source}: {' '.join(str(error).split())[:120]}; need valid YAML") from None
 
 
-def _is_plain(node: yaml.ScalarNode) -> bool:
-    """Whether the text is written without quotes and without a tag (`!!str 1`)."""
-    mark = node.start_mark
-    return mark.buffer is None or not mark.buffer[mark.pointer :].startswith("!")
-
-
-def _integer(text: str) -> int | float:
-    """Parse as C's strtol with base 0: 0x is hexadecimal, a leading 0 octal; what it refuses is left to strtod."""
+def _integer(text: str) -> int | None:
+    """Parse as strtoll with base 0: 0x is hexadecimal, a leading 0 octal; None: no integer, or more than 64 bits."""
+    if not _INTEGER.fullmatch(text):
+        return None
     digits = text.lstrip("+-")
     base = 16 if digits[:2] in ("0x", "0X") else 8 if len(digits) > 1 and digits[0] == "0" else 10
     try:
         value = int(text, base)
-    except ValueError:  # 08
-        return float(text)
-    return value if -(2**63) <= value < 2**63 else float(value)
+    except ValueError:  # 08, or thousands of digits
+        return None
+    return value if -(2**63) <= value < 2**63 else None
+
+
+def _double(text: str) -> float | None:
+    """Parse as strtod does; None: no number, too large, or so small that digits get lost."""
+    if text in _YAML_NAMES:
+        return float(text.replace(".", ""))
+    if _NAMED.fullmatch(text):
+        return float(text.partition("(")[0])
+    hexadecimal = _HEXADECIMAL.fullmatch(text)
+    if hexadecimal and (hexadecimal["whole"] or hexadecimal["part"]):
+        return _hexadecimal(text, hexadecimal)
+    if not _DECIMAL.fullmatch(text):
+        return None
+    value = float(text)
+    if math.isinf(value):
+        return None
+    if value == 0.0:
+        return value if not re.search("[1-9]", re.split("[eE]", text)[0]) else None
+    if abs(value) < sys.float_info.min:
+        try:
+            return value if Fraction(text) == Fraction(value) else None
+        except ValueError:  # thousands of digits
+            return None
+    return value
+
+
+def _hexadecimal(text: str, parts: re.Match[str]) -> float | None:
+    try:
+        value = float.fromhex(text)
+    except (OverflowError, ValueError):
+        return None
+    digits = (parts["whole"] + parts["part"]).lstrip("0")
+    if value == 0.0:
+        return None if digits else value
+    if abs(value) < sys.float_info.min:
+        exact = Fraction(int(digits, 16)) * Fraction(2) ** (int(parts["power"] or 0) - 4 * len(parts["part"]))
+        return value if exact == abs(Fraction(value)) else None
+    return value

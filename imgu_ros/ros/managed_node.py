@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.ros.beside import Beside
 from imgu_ros.ros.outputs import Outputs
-from imgu_ros.ros.parameter_sections import files_without_section
+from imgu_ros.ros.parameter_sections import unheeded_parameters
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.process import run_node
 from imgu_ros.ros.stopping import StopSignal
@@ -228,7 +228,7 @@ def run_managed(make: Callable[[], ManagedNode[Any]], ros_arguments: Sequence[st
 
     def make_node() -> ManagedNode[Any]:
         node = make()
-        for line in files_without_section(ros_arguments, node.get_fully_qualified_name()):
+        for line in unheeded_parameters(ros_arguments, node.get_fully_qualified_name()):
             node.get_logger().warning(line)
         return node
 

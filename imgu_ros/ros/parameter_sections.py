@@ -1,53 +1,42 @@
-"""Finds parameter files that say nothing to a node: rclpy ignores them without a word."""
+"""What a node's parameter files do not do, although they look as if: ROS 2 says nothing of it."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Any
 
-import yaml
+from imgu_ros.errors import ImguError
+from imgu_ros.files.parameter_files import parameter_file_bytes
+from imgu_ros.files.rcl_parameters import RclParameters, section_applies, with_slash
 
 
-def files_without_section(ros_arguments: Sequence[str], node_name: str) -> list[str]:
-    """Return a line for each given parameter file that has no section for the node.
+def unheeded_parameters(ros_arguments: Sequence[str], node_name: str) -> list[str]:
+    """Return a line for each file without a section for the node, and for each value that ROS 2 does not put in force.
 
     Parameters
     ----------
-    ros_arguments : as given to rclpy, which has read them already: the files exist and are parameter files
+    ros_arguments : as given to rclpy, which has read them already and decides what they mean
     node_name : fully qualified, "/namespace/name"
     """
     lines = []
-    for path in _parameter_files(ros_arguments):
-        sections = list(_sections(yaml.safe_load(Path(path).read_text(encoding="utf-8"))))
-        if not any(_applies(section, node_name) for section in sections):
-            lines.append(f"{path}: sections for {', '.join(sections) or 'no node'}; need one for {node_name} or /**")
-    return lines
+    given = RclParameters()
+    try:
+        for kind, text in _parameter_arguments(ros_arguments):
+            if kind == "value":
+                given.add_override(text)
+                continue
+            sections = given.add_file(parameter_file_bytes(text), text)
+            if not any(section_applies(section, node_name) for section in sections):
+                found = ", ".join(dict.fromkeys(sections)) or "no node"
+                lines.append(f"{text}: sections for {found}; need one for {node_name} or /**")
+    except ImguError:
+        return []  # rcl has read it, and rcl decides
+    return lines + given.overruled(lambda section: section_applies(with_slash(section), node_name))
 
 
-def _parameter_files(arguments: Sequence[str]) -> Iterator[str]:
+def _parameter_arguments(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
     following = iter(arguments)
     for argument in following:
-        if argument == "--params-file":
-            yield next(following, "")
-        elif argument.startswith("--params-file="):
-            yield argument.partition("=")[2]
-
-
-def _sections(tree: Any, path: str = "") -> Iterator[str]:
-    """Yield the names of the nodes that a parameter file speaks of, as patterns of full names."""
-    if not isinstance(tree, dict):
-        return
-    for key, value in tree.items():
-        if key == "ros__parameters":
-            yield path
-        else:
-            name = str(key)
-            yield from _sections(value, f"{path}{name}" if name.startswith("/") else f"{path}/{name}")
-
-
-def _applies(section: str, node_name: str) -> bool:
-    # rcl's wildcards: ** for any number of names, * for one.
-    parts = [".*" if part == "**" else "[^/]+" if part == "*" else re.escape(part) for part in section.split("/")]
-    return re.fullmatch("/".join(parts).replace("/.*", "(/.*)?"), node_name) is not None
+        if argument in ("-p", "--param"):
+            yield "value", next(following, "")
+        elif argument == "--params-file":
+            yield "file", next(following, "")

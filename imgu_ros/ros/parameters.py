@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ParameterError
-from imgu_ros.parameter_values import checked_value, parameters_from
+from imgu_ros.parameter_values import checked_value, is_empty_group, parameters_from, value_or_empty
 from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
 
 #: Values of this group wait for `ParameterServer.reload`.
@@ -60,9 +60,9 @@ class ParameterServer:
         overrides = node._parameter_overrides
         self._qos_overrides = [name for name in overrides if name.startswith(QOS_PREFIX)]
         given = {
-            name: _given_value(name, override.value)
+            name: value_or_empty(name, override.value)
             for name, override in overrides.items()
-            if name not in FOREIGN and not name.startswith(QOS_PREFIX)
+            if name not in FOREIGN and not name.startswith(QOS_PREFIX) and not is_empty_group(name, override.value)
         }
         self._live = parameters_from(given)
         self._values = {d.name: d.default for d in declarations()}
@@ -131,7 +131,7 @@ class ParameterServer:
         if parameter.name in FOREIGN or parameter.name.startswith(QOS_PREFIX):
             return parameter
         return ros_parameter(
-            parameter.name, checked_value(parameter.name, _given_value(parameter.name, parameter.value))
+            parameter.name, checked_value(parameter.name, value_or_empty(parameter.name, parameter.value))
         )
 
     def _check(self, changed: list[Parameter]) -> SetParametersResult:
@@ -200,13 +200,6 @@ def _declare(node: Node, values: Mapping[str, ParameterValue]) -> None:
             value = list(value)
         node.declare_parameters("", [(known.name, value, descriptor(known))], ignore_override=True)
     Node.set_parameters_atomically(node, empty)
-
-
-def _given_value(name: str, value: Any) -> Any:
-    # `[]` comes as no value at all from ROS's YAML parser.
-    if value is None and declaration(name).type_name.endswith("_array"):
-        return ()
-    return value
 
 
 def _split(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

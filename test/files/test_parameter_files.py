@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.files.parameter_files import parameter_file_text, parse_override, read_parameter_file
+from imgu_ros.files.parameter_files import GivenParameters, parameter_file_text, parse_override, read_parameter_file
 from imgu_ros.parameter_values import parameter_values, parameters_from
 from imgu_ros.params import Parameters, declarations
 
 
 def read(tmp_path, text, node_name="perception"):
-    (tmp_path / "p.yaml").write_text(text)
+    (tmp_path / "p.yaml").write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_parameter_file(tmp_path / "p.yaml", node_name)
 
 
@@ -66,8 +66,8 @@ def test_ros_itself_reads_the_same_values(ros_domain):
     [
         ("seed=5", "need NAME:=VALUE"), (":=5", "need NAME:=VALUE"), ("seed", "need NAME:=VALUE"),
         ("", "need NAME:=VALUE"), ("seed:=", "no value"), ("seed:=[1", "need valid YAML"),
-        ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"), ("seed:=[[1]]", "a list in a list"),
-        ("seed:=[*a]", "need"), ("seed:=a: b: c", "need valid YAML"), ("seed:=[1, 2.0]", "write 1.0, not 1"),
+        ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"), ("seed:=[{a: 1}]", "holds names"),
+        ("seed:=[*a]", "need"), ("seed:=a: b: c", "holds names"), ("seed:=[1, 2.0]", "write 1.0, not 1"),
         ("seed:=[1, a]", "a list of int and str; need values of one type"),
         ("seed:=[1,,]", "need valid YAML"), ("seed:=\x00", "need valid YAML"),
     ],
@@ -127,9 +127,9 @@ def test_nested_namespaces_and_precedence(tmp_path):
     ):
         read(tmp_path, text)
     assert read(tmp_path, text, "/right/perception") == {"seed": 2}
-    # the node's own section wins, wherever it stands
+    # rclpy applies sections as they come
     own_first = "perception:\n  ros__parameters: {seed: 1}\n/**:\n  ros__parameters: {seed: 2, autostart: false}\n"
-    assert read(tmp_path, own_first) == {"seed": 1, "autostart": False}
+    assert read(tmp_path, own_first) == {"seed": 2, "autostart": False}
 
 
 def test_what_every_node_has_is_passed_over(tmp_path):
@@ -140,23 +140,29 @@ def test_what_every_node_has_is_passed_over(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "no sections"),
-        ("[1, 2]", "no sections"),
-        ("perception: 5\n", "no section for node 'perception'"),
+        ("", r"no section for node 'perception' \(found: none\)"),
+        ("[1, 2]", "line 1: a list instead of a name; need NAME: VALUE"),
+        ("perception: 5\n", "line 1: a value outside of 'ros__parameters:'; need '/\\*\\*:'"),
         ("other:\n  ros__parameters:\n    seed: 3\n", r"no section for node 'perception' \(found: /other\)"),
         ("ros__parameters:\n  seed: 3\n", "outside of a node's section"),
-        ("seed: 3\n", "no section for node"),
-        ("/**:\n  ros__parameters: 5\n", "holds no names"),
+        ("seed: 3\n", "line 1: a value outside of 'ros__parameters:'"),
+        ("/**:\n  ros__parameters: 5\n", "line 2: a value outside of"),
         ("/**:\n  ros__parameters:\n    sed: 3\n", "sed: unknown parameter; nearest known: seed"),
         ("/**:\n  ros__parameters:\n    homography:\n      treshold_px: 3\n", "nearest known: homography.threshold_px"),
         ("/**:\n  ros__parameters:\n    seed: high\n", "seed: 'high' .* need an integer"),
         ("/**:\n  ros__parameters:\n    seed: -1\n", "seed: -1; need 0 to"),
-        ("/**:\n  ros__parameters:\n    seed:\n", "seed: no value"),
+        ("/**:\n  ros__parameters:\n    seed:\n", "line 3: seed: no value"),
         ("/**:\n  ros__parameters:\n    seed: 3\n   bad: 4\n", "line 4: .*need valid YAML"),
         ("/**:\n\tros__parameters: 3\n", "line 2: .*need valid YAML"),
-        ("/**:\n  ros__parameters: &a\n    seed: 3\nperception: *a\n", "aliases"),
-        ("/**:\n  ros__parameters:\n    [1, 2]: 3\n", "line 3: a name is no text"),
-        ("/**:\n  ros__parameters:\n    raw.gains: [[1]]\n", "raw.gains: a list in a list"),
+        ("/**:\n  ros__parameters: &a\n    seed: 3\nperception: *a\n", "line 4: an alias"),
+        ("/**:\n  ros__parameters:\n    [1, 2]: 3\n", "line 3: a list instead of a name"),
+        ("/**:\n  ros__parameters:\n    raw.gains: [1, 2.0]\n", "line 3: raw.gains: a list of int and float; .*1.0"),
+        ("/**:\n  ros__parameters: {}\nother node: {ros__parameters: {}}\n", "line 3: 'other node' is no node's name"),
+        ("/**:\n  ros__parameters: {seed: 1}\n# \u00e9\n".encode("latin-1"), "line 3: byte 0xE9 is no UTF-8"),
+        (
+            "/**:\n  ros__parameters: {tracking: {}}\n/*: {ros__parameters: {trackng: {}}}\n",
+            "trackng: unknown parameter",
+        ),
     ],
 )
 def test_bad_files_are_refused_in_one_line(tmp_path, text, reason):
@@ -171,9 +177,43 @@ def test_files_that_cannot_be_read(tmp_path):
         read_parameter_file(tmp_path / "none.yaml")
     with pytest.raises(FileError, match="need a parameter file"):
         read_parameter_file(tmp_path)
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(ParameterError, match="not a text file"):
+    (tmp_path / "binary.yaml").write_bytes(b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(ParameterError, match="line 1: byte 0x89 is no UTF-8"):
         read_parameter_file(tmp_path / "binary.yaml")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # As launch_ros writes a list of a launch file.
+        (
+            "/**:\n  ros__parameters:\n    targets.images: !!python/tuple\n    - a.png\n"
+            "    targets.widths_m: !!python/tuple\n    - 0.594\n"
+        ),
+        "/**:\n  ros__parameters: {targets: {images: [a.png], widths_m: [0.594], names: [], poses: []}}\n",
+        # One value for a list of one, a group and a list without anything.
+        "/**:\n  ros__parameters: {targets: {images: a.png, widths_m: 0.594, names: [[]]}}\n",
+        "\ufeff/**:\r\n  ros__parameters:\r\n    targets.images: [a.png]\r\n    targets.widths_m: [0.594]\r\n",
+    ],
+)
+def test_lists_as_tools_and_people_write_them(tmp_path, text):
+    values = {name: value for name, value in read(tmp_path, text).items() if value != ()}
+    assert values == {"targets.images": ("a.png",), "targets.widths_m": (0.594,)}
+
+
+def test_files_and_overrides_together(tmp_path):
+    (tmp_path / "a.yaml").write_text("/**: {ros__parameters: {seed: 1, targets.widths_m: [1]}}")
+    (tmp_path / "b.yaml").write_text("left: {perception: {ros__parameters: {tracking.enabled: false}}}")
+    given = GivenParameters()
+    given.add_file(tmp_path / "a.yaml")
+    given.add_file(tmp_path / "b.yaml")
+    assert given.add_override("seed:=2") == "seed"
+    assert given.values() == {"seed": 2, "targets.widths_m": (1.0,), "tracking.enabled": False}
+    assert given.warnings() == []
+    given.add_override("targets.widths_m:=[0.5]")
+    assert given.values()["targets.widths_m"] == (1.0,), "as rcl has it"
+    (line,) = given.warnings()
+    assert line.startswith("targets.widths_m: [1] is in force, not the later [0.5]: ROS 2 keeps ")
 
 
 def test_the_written_file_gives_the_defaults(tmp_path):
