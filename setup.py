@@ -61,6 +61,7 @@ setup(
             "coverage>=7.4",
             "hypothesis>=6.98",
             "mypy>=1.11",
+            "pillow>=10.0",
             "pytest>=7.4",
             "pytest-cov>=5",
             "pytest-timeout>=2.2",

@@ -76,7 +76,7 @@ def replay(
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
         sink = stack.enter_context(result_sink(bag.message_count // 2, recorded))
-        targets = prepare_targets(load_target_images(parameters.targets), parameters)
+        targets = prepare_targets(load_target_images(parameters.targets, lambda text: warnings.add([text])), parameters)
         warnings.add(bag.warnings)
         source = FrameSource(bag, parameters)
         warnings.add(bag.warnings, source.warnings)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from imgu_ros.bags.pictures import recorded_pictures
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.errors import BagError, FileError, ImguError, ParameterError, TooFewPoints
-from imgu_ros.files.images import read_image
+from imgu_ros.files.images import read_image_file
 from imgu_ros.params import Parameters
 from imgu_ros.perception.develop import develop
 from imgu_ros.types import Image, Points
@@ -56,12 +56,14 @@ class BoardViews:
     width, height : px, of the pictures in `views`
     views : different views of the board
     refused : the other pictures
+    notes : what was done to files, each with the name of the first file
     """
 
     width: int
     height: int
     views: tuple[BoardView, ...]
     refused: tuple[RefusedPicture, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +71,7 @@ class _Picture:
     name: str
     grey: Image | None
     reason: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def find_board_views(
@@ -112,9 +115,12 @@ def find_board_views(
     found: list[BoardView] = []
     refused: list[RefusedPicture] = []
     kept: list[Image] = []
+    noted: dict[str, list[str]] = {}
     misses = 0
     for index, picture in enumerate(pictures):
         corners = None
+        for note in picture.notes:
+            noted.setdefault(note, []).append(picture.name)
         if picture.grey is None:
             refused.append(RefusedPicture(picture.name, picture.reason))
         else:
@@ -131,7 +137,13 @@ def find_board_views(
         on_progress(index + 1, len(files) or None)
     if not found and not refused:
         raise BagError(f"{paths[0]}: no picture in it; need views of the board")
-    return _chosen(found, refused, board, kept, most, on_trial)
+    notes = [f"{names[0]}{and_others(len(names) - 1)}: {note}" for note, names in noted.items()]
+    return replace(_chosen(found, refused, board, kept, most, on_trial), notes=tuple(notes))
+
+
+def and_others(count: int) -> str:
+    """Return " and 3 others" for 3; nothing for 0."""
+    return f" and {count} other{'s' * (count > 1)}" if count else ""
 
 
 def _chosen(
@@ -204,14 +216,15 @@ def _other_size(kept: list[Image], board: Chessboard, on_trial: Callable[[int, i
 def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None) -> Iterator[_Picture]:
     for path in files:
         try:
-            pixels = read_image(path)
+            file = read_image_file(path)
+            pixels = file.pixels
             if pattern and pixels.ndim != 2:
                 raise FileError(f"{path}: {pixels.shape[2]} channels; need one for --pattern")
             if pattern:
                 layout = PixelLayout(ColorModel.BAYER, BayerPattern(pattern))
             else:
                 layout = PixelLayout(ColorModel.MONO if pixels.ndim == 2 else ColorModel.RGB)
-            yield _developed(str(path), RawImage(pixels, layout), parameters)
+            yield replace(_developed(str(path), RawImage(pixels, layout), parameters), notes=file.notes)
         except FileError as error:
             yield _Picture(str(path), None, str(error).removeprefix(f"{path}: "))
 

@@ -89,6 +89,7 @@ def described(calibration: Calibration, found: BoardViews, board: Chessboard) ->
     """Return the calibration as lines of text for people."""
     import numpy as np
 
+    from imgu_ros.cli.board_views import and_others
     from imgu_ros.vision.camera.angle_of_view import angle_of_view
 
     camera = calibration.camera
@@ -97,7 +98,7 @@ def described(calibration: Calibration, found: BoardViews, board: Chessboard) ->
     lines = [f"{len(calibration.views)} of {total} pictures used, {board.columns}x{board.rows} corners in each"]
     for reason in list(dict.fromkeys(picture.reason for picture in refused))[:_SHOWN_REASONS]:
         names = [picture.name for picture in refused if picture.reason == reason]
-        lines.append(f"  refused: {names[0]}{_and_others(len(names) - 1)}: {reason}")
+        lines.append(f"  refused: {names[0]}{and_others(len(names) - 1)}: {reason}")
     lines.append(f"{camera.model}, {camera.width} x {camera.height} px")
     for name, value, sigma in zip(names_of(calibration), values_of(calibration), calibration.sigma, strict=True):
         lines.append(
@@ -112,10 +113,6 @@ def described(calibration: Calibration, found: BoardViews, board: Chessboard) ->
         "(as OpenCV counts)"
     )
     return "\n".join([*lines, *(f"warning: {text}" for text in warnings_of(calibration, found))])
-
-
-def _and_others(count: int) -> str:
-    return f" and {count} other{'s' * (count > 1)}" if count else ""
 
 
 def names_of(calibration: Calibration) -> tuple[str, ...]:
@@ -146,7 +143,7 @@ def warnings_of(calibration: Calibration, found: BoardViews) -> list[str]:
     """Return what a user should know before trusting the calibration."""
     import numpy as np
 
-    camera, warnings = calibration.camera, []
+    camera, warnings = calibration.camera, list(found.notes)
     corners = np.concatenate([found.views[view.index].corners for view in calibration.views])
     low, high = corners.min(axis=0), corners.max(axis=0)
     reached = float(np.prod((high - low) / (camera.width, camera.height)))

@@ -83,14 +83,18 @@ def _read_raw(arguments: argparse.Namespace) -> Image:
         from imgu_ros.files.images import read_raw_image
 
         return read_raw_image(arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype])
-    from imgu_ros.files.images import read_image
+    from imgu_ros.cli.warning import warn
+    from imgu_ros.files.images import read_image_file
 
     try:
-        raw = read_image(arguments.input)
+        file = read_image_file(arguments.input)
     except FileError as error:
         if "not an image" not in str(error):
             raise
         raise FileError(f"{error}, or --width, --height and --dtype of a headerless file") from None
+    raw = file.pixels
+    for note in file.notes:
+        warn(f"{arguments.input}: {note}")
     if raw.ndim != 2 or raw.dtype.name not in ("uint8", "uint16"):
         raise FileError(f"{arguments.input}: shape {raw.shape}, {raw.dtype}; need a one-channel 8- or 16-bit image")
     return raw

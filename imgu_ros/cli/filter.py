@@ -66,10 +66,14 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.output.absolute().parent.is_dir():
         raise FileError(f"{arguments.output}: its folder does not exist; need a place that can be written")
     from imgu_ros.cli.filtering import FilterOptions, filtered
-    from imgu_ros.files.images import check_image_file, read_image, write_image
+    from imgu_ros.cli.warning import warn
+    from imgu_ros.files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
-    image = read_image(arguments.input)
+    file = read_image_file(arguments.input, upright=True)
+    image = file.pixels
+    for note in file.notes:
+        warn(f"{arguments.input}: {note}")
     if arguments.method == "kernel":
         from imgu_ros.cli.filtering import described_kernel
 

@@ -50,11 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the chain on the image, and report."""
     parameters = _with_target(parameters_of(arguments), arguments)
     _check_outputs(arguments)
+    from imgu_ros.cli.warning import warn
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.perception.chain import Chain
     from imgu_ros.perception.targets import prepare_targets
 
-    targets = prepare_targets(load_target_images(parameters.targets), parameters)
+    targets = prepare_targets(load_target_images(parameters.targets, warn), parameters)
     frame = _frame(arguments)
     if arguments.warp:
         _check_warp(arguments.warp, frame)
@@ -207,12 +208,16 @@ def _with_transfer(parameters: Parameters, frame: Frame) -> Parameters:
 
 
 def _frame(arguments: argparse.Namespace) -> Frame:
-    from imgu_ros.files.images import read_image
+    from imgu_ros.cli.warning import warn
+    from imgu_ros.files.images import read_image_file
     from imgu_ros.perception.frame import Frame
     from imgu_ros.vision.formation.cfa import BayerPattern
     from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
-    pixels = read_image(arguments.image)
+    file = read_image_file(arguments.image)
+    pixels = file.pixels
+    for note in file.notes:
+        warn(f"{arguments.image}: {note}")
     if arguments.pattern:
         from imgu_ros.errors import FileError
 

@@ -210,11 +210,12 @@ def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
         return default_targets(count, arguments.seed, arguments.width_m)
     if arguments.targets is not None:
         raise ParameterError(f"targets: {arguments.targets} with --template; need one or the other")
+    from imgu_ros.cli.warning import warn
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.params import TargetsParameters
 
     paths = tuple(str(path) for path in arguments.template)
-    return load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)))
+    return load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)), warn)
 
 
 def _size(text: str) -> tuple[int, int]:

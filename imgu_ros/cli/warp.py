@@ -42,10 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, warp, write."""
     _check(arguments)
-    from imgu_ros.files.images import check_image_file, read_image, write_image
+    from imgu_ros.cli.warning import warn
+    from imgu_ros.files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
-    image = read_image(arguments.input)
+    file = read_image_file(arguments.input, upright=True)
+    image = file.pixels
+    for note in file.notes:
+        warn(f"{arguments.input}: {note}")
     check_image_file(arguments.output, image)
     write_image(arguments.output, _resized(image, arguments) if _only_resizes(arguments) else _warped(image, arguments))
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,17 @@ import numpy as np
 
 from imgu_ros.codec.picture_files import check_picture_file, is_picture_file
 from imgu_ros.errors import EncodingError, FileError, ShapeError
+from imgu_ros.files.picture_tags import (
+    UPRIGHT,
+    ExtraSample,
+    PictureTags,
+    as_stored,
+    is_tiff,
+    picture_tags,
+    turned_upright,
+)
 from imgu_ros.files.pnm import decode_pnm, encode_pnm, is_pnm
+from imgu_ros.files.transparency import composed, split_alpha
 from imgu_ros.types import Image, as_image
 
 #: What each kind of file can hold: (number of channels, data types).
@@ -32,45 +43,69 @@ RASTER_SUFFIXES = tuple(_WRITABLE)
 _PNM = (".pbm", ".pgm", ".ppm", ".pnm")
 _NEED = "need a PNM, PNG, TIFF or JPEG"
 _READABLE_DTYPES = (np.uint8, np.uint16, np.float32)
+#: The note about a picture with transparency.
+COMPOSED = "transparent: composed on white"
 _LZW = 5  # else OpenCV 4 writes float colours as LogLuv, which loses precision
 
 
-def read_image(path: Path | str, *, keep_alpha: bool = False) -> Image:
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageFile:
+    """The pixels of an image file, and what was done to them.
+
+    Attributes
+    ----------
+    pixels : (H, W) or (H, W, 3) RGB; uint8, uint16, or float32 from a TIFF file
+    notes : what the user should know, such as "transparent: composed on white"; without the file's name
+    alpha : (H, W) like `pixels`, of a picture that was composed; None: it was opaque
+    """
+
+    pixels: Image
+    notes: tuple[str, ...] = ()
+    alpha: Image | None = None
+
+
+def read_image(path: Path | str, *, upright: bool = False) -> Image:
+    """Return the pixels of an image file; see `read_image_file`."""
+    return read_image_file(path, upright=upright).pixels
+
+
+def read_image_file(path: Path | str, *, upright: bool = False) -> ImageFile:
     """Read an image file at its own depth.
+
+    Values are those of the file, never scaled: a PGM of maxval 4095 gives 0 to 4095. A bitmap has 0 and 255. A picture
+    with transparency is composed on white, in the values of the file.
 
     Parameters
     ----------
     path : PBM, PGM, PPM (plain or binary), PNG, TIFF, JPEG, or what else this OpenCV decodes; the content counts, not
         the suffix
-    keep_alpha : keep an alpha channel, as the fourth; the orientation that a camera noted in a JPEG or PNG is then not
-        applied
-
-    Returns
-    -------
-    (H, W) or (H, W, 3) RGB, or (H, W, 4) RGBA; uint8, uint16, or float32 from a TIFF file. Values are those of the
-    file, never scaled: a PGM of maxval 4095 gives 0 to 4095. A bitmap has 0 and 255. A JPEG, PNG or TIFF is turned as
-    its orientation tag says.
+    upright : turn the picture as its orientation tag (Exif, TIFF) says, for pictures to be looked at. False: pixels
+        stay as they were read out, for a camera's model or a Bayer pattern belongs to them
 
     Raises
     ------
     FileError
-        If the file is missing, empty, no image, cut, damaged, or of another depth.
+        If the file is missing, empty, no image, cut, damaged, of another depth, or a TIFF of grey and alpha.
     """
     path = Path(path)
     content = _content(path)
     if is_pnm(content):
         try:
-            return decode_pnm(content)
+            return ImageFile(decode_pnm(content))
         except EncodingError as error:
             raise FileError(f"{path}: {error}") from None
-    pixels = _decoded(path, content, cv2.IMREAD_UNCHANGED if keep_alpha else cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    tags = picture_tags(content)
+    if is_tiff(content) and tags.grey_with_alpha:  # decoders lose alpha, and depth
+        raise FileError(f"{path}: a TIFF of grey and alpha; need it without transparency, or as a PNG")
+    pixels = _decoded(path, as_stored(content))
     if pixels.dtype not in [np.dtype(dtype) for dtype in _READABLE_DTYPES]:
         raise FileError(f"{path}: data type {pixels.dtype}; need uint8, uint16 or float32")
-    if pixels.ndim == 2:
-        return pixels
-    if pixels.shape[2] not in (3, 4):
+    if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):
         raise FileError(f"{path}: {pixels.shape[2]} channels; need 1, 3 or 4")
-    return _swapped(pixels)
+    # libtiff multiplies the colours of 8 bits by an alpha that stands beside them.
+    premultiplied = is_tiff(content) and pixels.dtype == np.uint8 and tags.extra is ExtraSample.STRAIGHT
+    file = _opaque(pixels, replace(tags, extra=ExtraSample.PREMULTIPLIED) if premultiplied else tags)
+    return _oriented(file, tags.orientation, upright)
 
 
 def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality: int = 95) -> None:
@@ -166,7 +201,7 @@ def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dt
     return native
 
 
-def _decoded(path: Path, content: bytes, flags: int) -> Image:
+def _decoded(path: Path, content: bytes) -> Image:
     # Not cv2.imread: it says nothing about why it fails.
     encoded = np.frombuffer(content, np.uint8)
     if is_picture_file(encoded):
@@ -176,12 +211,32 @@ def _decoded(path: Path, content: bytes, flags: int) -> Image:
             raise FileError(f"{path}: {error}") from None
     try:
         with _decoder_silenced():
-            pixels: Image | None = cv2.imdecode(encoded, flags)
+            # Unchanged: with alpha, and not turned.
+            pixels: Image | None = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise FileError(f"{path}: cannot be decoded ({_reason(error)}); {_NEED}") from None
     if pixels is None:
         raise FileError(f"{path}: not an image ({len(encoded)} bytes); {_NEED}")
     return pixels
+
+
+def _opaque(pixels: Image, tags: PictureTags) -> ImageFile:
+    """Return decoded pixels in RGB, composed on white where they are transparent."""
+    ordered = pixels if pixels.ndim == 2 else _swapped(pixels)
+    color, alpha = split_alpha(ordered, tags)
+    if alpha is None:
+        return ImageFile(color)
+    return ImageFile(composed(color, alpha, tags.extra), (COMPOSED,), alpha)
+
+
+def _oriented(file: ImageFile, orientation: int, upright: bool) -> ImageFile:
+    if orientation == UPRIGHT:
+        return file
+    if not upright:
+        ignored = f"orientation tag {orientation} ignored: pixels stay as the sensor gave them"
+        return replace(file, notes=(*file.notes, ignored))
+    alpha = None if file.alpha is None else turned_upright(file.alpha, orientation)
+    return replace(file, pixels=turned_upright(file.pixels, orientation), alpha=alpha)
 
 
 @contextlib.contextmanager

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.files.images import read_image
+from imgu_ros.files.images import read_image_file
 from imgu_ros.params import TargetsParameters
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.types import Image
@@ -19,16 +20,21 @@ from imgu_ros.types import Image
 _MIN_SIDE_PX = 16
 #: Grey values between the darkest and the brightest pixel below which a picture has nothing to find.
 _MIN_CONTRAST = 8
+#: The note about a picture whose colour is the paper's.
+_SHAPE = "a white shape on transparency: taken as white on black"
 _TOKEN = re.compile(r"[A-Za-z](?!\w*__)\w*", re.ASCII)
 
 
-def load_target_images(targets: TargetsParameters) -> tuple[TargetImage, ...]:
-    """Read the target pictures.
+def load_target_images(
+    targets: TargetsParameters, on_warning: Callable[[str], None] = lambda text: None
+) -> tuple[TargetImage, ...]:
+    """Read the target pictures: upright, as their orientation tags say, and on white where they are transparent.
 
     Parameters
     ----------
     targets : `images` with `~` and `$VARIABLES` expanded; a width left out is 0 (unknown), a name left out is the
         file's stem made a valid ROS name
+    on_warning : called for each thing the user should know
 
     Returns
     -------
@@ -46,7 +52,7 @@ def load_target_images(targets: TargetsParameters) -> tuple[TargetImage, ...]:
     _refuse_collisions(names, paths)
     widths = targets.widths_m or (0.0,) * len(paths)
     return tuple(
-        TargetImage(name, _target_pixels(path), float(width))
+        TargetImage(name, _target_pixels(path, on_warning), float(width))
         for name, path, width in zip(names, paths, widths, strict=True)
     )
 
@@ -91,16 +97,29 @@ def _refuse_collisions(names: list[str], paths: list[Path]) -> None:
         seen[name] = path
 
 
-def _target_pixels(path: Path) -> Image:
-    pixels = _as_8_bit(read_image(path))
+def _target_pixels(path: Path, on_warning: Callable[[str], None]) -> Image:
+    file = read_image_file(path, upright=True)
+    pixels, notes = _as_8_bit(file.pixels), file.notes
+    if file.alpha is not None and _contrast(pixels) < _MIN_CONTRAST:
+        # A white shape on nothing: its form is in the alpha channel alone.
+        shape = _as_8_bit(file.alpha)
+        if _contrast(shape) >= _MIN_CONTRAST:
+            pixels, notes = shape, (_SHAPE,)
+    for note in notes:
+        on_warning(f"{path}: {note}")
     if min(pixels.shape[:2]) < _MIN_SIDE_PX:
         size = f"{pixels.shape[1]} x {pixels.shape[0]}"
         raise FileError(f"{path}: {size} px; need a target of at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX}")
-    grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    contrast = int(grey.max()) - int(grey.min())
+    contrast = _contrast(pixels)
     if contrast < _MIN_CONTRAST:
         raise FileError(f"{path}: blank (grey values differ by {contrast}); need a picture with texture")
     return pixels
+
+
+def _contrast(pixels: Image) -> int:
+    """Return by how much the grey values of a picture differ."""
+    grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    return int(grey.max()) - int(grey.min())
 
 
 def _as_8_bit(pixels: Image) -> Image:

@@ -211,6 +211,9 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
     def _log_failure(self, line: str) -> None:
         self.get_logger().error(line, throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=self._steady)
 
+    def _log_warning(self, line: str) -> None:
+        self.get_logger().warning(line)
+
     def _log_rejected(self, reason: str) -> None:
         self.get_logger().warning(
             f"frame rejected: {reason}", throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=self._steady

@@ -67,7 +67,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
         return self._worker.close() and ended
 
     def _load(self) -> None:
-        self._adopt(self._worker.build(load_target_images(self._server.reload().targets)))
+        self._adopt(self._worker.build(load_target_images(self._server.reload().targets, self._log_warning)))
 
     def _drop(self) -> None:
         with self._worker.between_frames():
@@ -172,7 +172,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
 
     async def _reload(self) -> str:
         targets = self._server.reload().targets
-        await self._adopt_soon(lambda: self._worker.build(load_target_images(targets)))
+        await self._adopt_soon(lambda: self._worker.build(load_target_images(targets, self._log_warning)))
         return "targets: " + (", ".join(target.name for target in self._worker.targets) or "none")
 
     async def _set_target_from_view(self) -> str:

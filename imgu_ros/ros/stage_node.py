@@ -93,7 +93,9 @@ class StageNode(ManagedNode[StageInput]):
 
     def _load(self) -> None:
         parameters = self._server.reload()
-        self._adopt(parameters, load_target_images(parameters.targets) if self._stage.needs_targets else [])
+        self._adopt(
+            parameters, load_target_images(parameters.targets, self._log_warning) if self._stage.needs_targets else []
+        )
 
     def _adopt(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
         with self._between_frames:
@@ -176,7 +178,7 @@ class StageNode(ManagedNode[StageInput]):
 
     async def _reload(self) -> str:
         parameters = self._server.reload()
-        images = await self._do_beside(lambda: load_target_images(parameters.targets))
+        images = await self._do_beside(lambda: load_target_images(parameters.targets, self._log_warning))
         self._require_configured()  # it may have been cleaned up meanwhile
         self._adopt(parameters, images)
         return "targets: " + (", ".join(image.name for image in images) or "none")

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 from imgu_ros.cli.board_views import find_board_views
 from imgu_ros.cli.main import main
@@ -82,6 +83,22 @@ def test_mosaics_in_files(pictures: Path, tmp_path: Path) -> None:
         write_image(tmp_path / path.name, mosaic(np.dstack((grey, grey, grey)), BayerPattern.GRBG))
     assert calibrate(tmp_path, *OPTIONS, "--pattern", "grbg", "--out", tmp_path / "c.yaml") == 0
     assert read_camera_info(tmp_path / "c.yaml").K[0, 0] == pytest.approx(420, rel=0.02)
+
+
+def test_orientation_tags_do_not_turn_the_sensor(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A telephone held upright in some of the pictures: their pixels are the sensor's all the same."""
+    for index, path in enumerate(sorted(pictures.iterdir())):
+        exif = Pillow.Exif()
+        exif[0x0112] = (1, 6, 3, 8, 6, 1)[index]
+        Pillow.fromarray(read_image(path)).save(tmp_path / path.name, exif=exif)
+    for folder, name in ((pictures, "a.yaml"), (tmp_path, "b.yaml")):
+        assert calibrate(folder, *OPTIONS, "--out", tmp_path / name) == 0
+    said = capsys.readouterr().out
+    assert f"warning: {tmp_path / 'view1.png'} and 1 other: orientation tag 6 ignored" in said
+    assert said.count("ignored") == 3
+    assert np.array_equal(read_camera_info(tmp_path / "a.yaml").K, read_camera_info(tmp_path / "b.yaml").K)
 
 
 def test_a_bag_of_mosaics_with_still_stretches(

@@ -2,8 +2,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 from imgu_ros.cli.main import main
 from imgu_ros.files.images import read_image, write_image
@@ -105,3 +107,21 @@ def test_a_colour_image_is_no_mosaic(tmp_path: Path, capsys: pytest.CaptureFixtu
     write_image(tmp_path / "rgb.png", np.zeros((8, 8, 3), np.uint8))
     assert main(["demosaic", str(tmp_path / "rgb.png"), str(tmp_path / "out.png"), "--pattern", "rggb"]) == 1
     assert "one-channel" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_an_orientation_tag_does_not_turn_the_pattern(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], orientation: int, dtype: type, suffix: str
+) -> None:
+    color = cv2.resize(np.random.default_rng(1).integers(0, 200, (4, 6, 3), np.uint8), (48, 32)).astype(dtype)
+    raw = mosaic(color, BayerPattern.RGGB)
+    exif = Pillow.Exif()
+    exif[0x0112] = orientation
+    Pillow.fromarray(raw).save(tmp_path / f"raw{suffix}", exif=exif)
+    write_image(tmp_path / "plain.pgm", raw)
+    for name in (f"raw{suffix}", "plain.pgm"):
+        assert main(["demosaic", str(tmp_path / name), str(tmp_path / f"{name}.ppm"), "--pattern", "rggb"]) == 0
+    assert np.array_equal(read_image(tmp_path / f"raw{suffix}.ppm"), read_image(tmp_path / "plain.pgm.ppm"))
+    assert capsys.readouterr().err.count(f"raw{suffix}: orientation tag {orientation} ignored") == (orientation != 1)

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 from imgu_ros.cli.main import main
 from imgu_ros.cli.match import INTERPOLATIONS
@@ -72,6 +73,48 @@ def test_without_a_camera_there_is_no_pose(scene: Path, capsys: pytest.CaptureFi
     out = capsys.readouterr().out
     assert "no pose" in out
     assert "position" not in out
+
+
+@pytest.mark.parametrize("name", ["tagged.png", "tagged.jpg", "tagged.tif"])
+@pytest.mark.parametrize("orientation", [3, 6, 7])
+def test_an_orientation_tag_does_not_turn_the_sensor(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, orientation: int
+) -> None:
+    """The target is turned as viewers show it; the photo's pixels belong to the camera and stay."""
+    exif = Pillow.Exif()
+    exif[0x0112] = orientation
+    Pillow.fromarray(read_image(scene / "view.png")).save(tmp_path / name, exif=exif)
+    options = [
+        "--camera-info",
+        str(scene / "camera.yaml"),
+        "--width-m",
+        str(WIDTH_M),
+        "--json",
+        str(tmp_path / "m.json"),
+    ]
+    assert main(["match", str(scene / "poster.png"), str(tmp_path / name), *options]) == 0
+    assert capsys.readouterr().err.count(f"{name}: orientation tag {orientation} ignored") == 1
+    found = json.loads((tmp_path / "m.json").read_text())
+    assert np.linalg.norm(np.array(found["pose"]["position_m"]) - POSE.t) < 0.003
+    # A poster that was photographed upside down, and says so.
+    exif[0x0112] = 3
+    Pillow.fromarray(read_image(scene / "poster.png")[::-1, ::-1]).save(tmp_path / "poster.png", exif=exif)
+    assert main(["match", str(tmp_path / "poster.png"), str(scene / "view.png"), *options]) == 0
+    found = json.loads((tmp_path / "m.json").read_text())
+    assert np.linalg.norm(np.array(found["pose"]["position_m"]) - POSE.t) < 0.003
+    assert capsys.readouterr().err == ""
+
+
+def test_a_photo_with_transparency_is_composed(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    view = read_image(scene / "view.png")
+    clear = (view == 90).all(axis=2)
+    hidden = np.where(clear[..., None], np.random.default_rng(0).integers(0, 255, view.shape, np.uint8), view)
+    Pillow.fromarray(np.dstack((hidden, np.where(clear, 0, 255).astype(np.uint8)))).save(tmp_path / "view.png")
+    assert (
+        main(["match", str(scene / "poster.png"), str(tmp_path / "view.png"), "--json", str(tmp_path / "m.json")]) == 0
+    )
+    assert capsys.readouterr().err == f"imgu: warning: {tmp_path / 'view.png'}: transparent: composed on white\n"
+    assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.5
 
 
 def test_a_mosaic(scene: Path, tmp_path: Path) -> None:

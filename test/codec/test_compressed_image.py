@@ -117,10 +117,22 @@ def exif_jpeg(pixels: np.ndarray, orientation: int) -> bytes:
     return plain[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + plain[2:]
 
 
-def test_exif_orientation_is_not_applied(make):
-    pixels = np.zeros((16, 32), np.uint8)
-    image = decode_compressed_image(compressed(make, exif_jpeg(pixels, orientation=6), "jpeg"))
-    assert image.pixels.shape == (16, 32)
+def exif_png(pixels: np.ndarray, orientation: int) -> bytes:
+    exif = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, orientation, 0, 0)
+    chunk = struct.pack(">I", len(exif)) + b"eXIf" + exif + struct.pack(">I", zlib.crc32(b"eXIf" + exif))
+    plain = cv2.imencode(".png", pixels)[1].tobytes()
+    return plain[:33] + chunk + plain[33:]  # behind the signature and IHDR
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_exif_orientation_is_not_applied(make, orientation):
+    pixels = random_pixels((16, 32), np.uint8)
+    stored = decode_compressed_image(compressed(make, cv2.imencode(".jpg", pixels)[1].tobytes(), "jpeg")).pixels
+    image = decode_compressed_image(compressed(make, exif_jpeg(pixels, orientation), "jpeg"))
+    assert np.array_equal(image.pixels, stored)
+    deep = random_pixels((16, 32), np.uint16)
+    image = decode_compressed_image(compressed(make, exif_png(deep, orientation), "bayer_rggb16; png compressed "))
+    assert np.array_equal(image.pixels, deep)
 
 
 @pytest.mark.parametrize("options", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])

