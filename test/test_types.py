@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +8,19 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from imgu_ros.errors import ImguError, ShapeError
-from imgu_ros.types import Choice, as_image, as_matrix, as_points, as_rows
+from imgu_ros.types import (
+    Choice,
+    as_floats,
+    as_generator,
+    as_image,
+    as_matrix,
+    as_plain,
+    as_points,
+    as_rows,
+    require_unit_range,
+)  # fmt: skip
+
+ALL = (np.uint8, np.uint16, np.float32)
 
 
 class Fruit(Choice):
@@ -45,6 +58,16 @@ def test_other_row_lengths_and_minimum():
 
 BAD_POINTS = [
     None,
+    3.0,
+    "3",
+    ["1", "2"],
+    [["1", "2"]],
+    {1: 2},
+    {(1, 2)},
+    [None, None],
+    np.zeros((2, 1, 3)),
+    np.zeros((1, 2, 2)),
+    np.ma.masked_equal([[1.0, 2.0]], 2.0),
     "ab",
     [["a", "b"]],
     object(),
@@ -105,10 +128,11 @@ def test_channels_and_types_that_are_asked_for():
         np.zeros((4, 4, 1), np.uint8),
         np.zeros((4, 4, 3), np.uint8),
         np.zeros((1, 4, 4, 1), np.uint8),
-        np.zeros((4, 4), bool),
-        np.zeros((4, 4), np.int8),
-        np.zeros((4, 4), np.float64),
-        np.zeros((4, 4), np.float16),
+        np.full((4, 4), -1),
+        np.full((4, 4), 65536),
+        np.full((4, 4), 1e300),
+        np.full((4, 4), np.nan),
+        np.ma.masked_equal(np.eye(4), 0),
         np.zeros((4, 4), np.complex64),
         np.zeros((4, 4), object),
         np.zeros((4, 4), "S1"),
@@ -121,3 +145,125 @@ def test_channels_and_types_that_are_asked_for():
 def test_bad_images_are_refused(image):
     with pytest.raises(ImguError, match=r"^image: [^\n]+need[^\n]+$"):
         as_image(image)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        ((1, 2), (3, 4)),
+        [(1, 2), [3, 4]],
+        [np.array([1, 2]), (3.0, np.float32(4))],
+        np.array([[1, 2], [3, 4]], np.uint8),
+        np.array([[[1, 2]], [[3, 4]]], np.int32),
+        [[[1, 2]], [[3, 4]]],
+        np.array([[1, 2], [3, 4]]).view(np.matrix),
+        [cv2.KeyPoint(1, 2, 7), cv2.KeyPoint(3, 4, 7)],
+        (cv2.KeyPoint(1, 2, 7), cv2.KeyPoint(3, 4, 7)),
+        cv2.KeyPoint.convert([cv2.KeyPoint(1, 2, 7), cv2.KeyPoint(3, 4, 7)]),
+    ],
+    ids=lambda points: f"{type(points).__name__} {np.shape(points)}",
+)
+def test_points_as_numpy_and_opencv_have_them(points):
+    got = as_points(points)
+    assert type(got) is np.ndarray and got.dtype == np.float64 and got.tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize("nothing", [[], (), np.zeros((0, 2)), np.zeros((0, 1, 2), np.float32), np.zeros(0)], ids=str)
+def test_an_empty_list_is_no_points(nothing):
+    assert as_points(nothing).shape == (0, 2)
+    with pytest.raises(ShapeError, match=r"points: shape \(0, 2\); need \(N >= 1, 2\)"):
+        as_points(nothing, minimum=1)
+
+
+def test_opencv_lists_its_points_as_we_take_them():
+    picture = np.zeros((60, 80), np.uint8)
+    cv2.rectangle(picture, (20, 15), (50, 40), 255, -1)
+    (contour,), _ = cv2.findContours(picture, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    assert contour.shape == (4, 1, 2)
+    assert sorted(as_points(contour).tolist()) == [[20, 15], [20, 40], [50, 15], [50, 40]]
+    assert as_points(cv2.goodFeaturesToTrack(picture, 4, 0.1, 5)).shape == (4, 2)
+
+
+UNIT = [[0.0, 0.25], [0.5, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("image", "dtypes", "expected"),
+    [
+        (np.array(UNIT), ALL, np.array(UNIT, np.float32)),
+        (np.array(UNIT, np.float16), ALL, np.array(UNIT, np.float32)),
+        (np.array(UNIT, ">f8").T, ALL, np.array(UNIT, np.float32).T),
+        (np.array(UNIT, np.longdouble), ALL, np.array(UNIT, np.float32)),
+        (np.array(UNIT), (np.uint8,), np.array([[0, 64], [128, 255]], np.uint8)),
+        (np.array(UNIT, np.float32), (np.uint8, np.uint16), np.array([[0, 16384], [32768, 65535]], np.uint16)),
+        (np.array([[-0.5, 1.5]]), (np.uint8,), np.array([[0, 255]], np.uint8)),
+        (np.array([[True, False]]), ALL, np.array([[1, 0]], np.float32)),
+        (np.array([[True, False]]), (np.uint8,), np.array([[255, 0]], np.uint8)),
+        (np.array([[True, False]]), (np.uint8, np.uint16), np.array([[255, 0]], np.uint8)),
+        (np.array([[True, False]]), (np.uint16,), np.array([[65535, 0]], np.uint16)),
+        (np.array([[0, 255]]), ALL, np.array([[0, 255]], np.uint8)),
+        (np.array([[0, 256]]), ALL, np.array([[0, 256]], np.uint16)),
+        (np.array([[0, 65535]], np.uint32), ALL, np.array([[0, 65535]], np.uint16)),
+        (np.array([[0, 127]], np.int8), (np.uint8,), np.array([[0, 127]], np.uint8)),
+        (np.array([[7, 9]], ">i8")[:, ::-1], (np.uint8,), np.array([[9, 7]], np.uint8)),
+        (np.array([[1, 2]], np.uint8).view(np.matrix), ALL, np.array([[1, 2]], np.uint8)),
+    ],
+)
+def test_other_images_are_taken_as_it_says(image, dtypes, expected):
+    got = as_image(image, dtypes=dtypes)
+    assert type(got) is np.ndarray and got.dtype == expected.dtype and got.dtype.isnative and got.flags.c_contiguous
+    np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize(
+    ("image", "dtypes", "message"),
+    [
+        (np.full((2, 2), 200.0), (np.uint8,), r"float64 from 200 to 200; need floats in \[0, 1\]"),
+        (np.array([[-3, 5]]), ALL, "int64 from -3 to 5; need 0 to 65535"),
+        (np.array([[0, 256]], np.int32), (np.uint8,), "int32 from 0 to 256; need 0 to 255"),
+        (np.zeros((2, 2), np.uint16), (np.uint8,), "uint16; need uint8"),
+        (np.zeros((2, 2), np.uint8), (np.float32,), "uint8; need float32"),
+        (np.full((2, 2), 1e39), ALL, "beyond 3.40282e"),
+        (np.array([[0.5, np.nan]]), ALL, "1 values are not finite"),
+        (np.array([[0.5, np.inf]]), (np.uint8,), "1 values are not finite"),
+    ],
+)
+def test_images_that_can_be_meant_in_several_ways_are_refused(image, dtypes, message):
+    with pytest.raises(ShapeError, match=f"^image: .*{message}"):
+        as_image(image, dtypes=dtypes)
+
+
+@pytest.mark.parametrize("image", [np.full((2, 2), 0.5), np.ones((2, 2), bool)])
+def test_raw_numbers_are_not_scaled(image):
+    with pytest.raises(ShapeError, match="need uint8, uint16"):
+        as_image(image, dtypes=(np.uint8, np.uint16), rescaled=False)
+
+
+def test_the_unit_range_leaves_room_for_an_overshoot():
+    require_unit_range(np.array([[-1.0, 2.0]]))
+    require_unit_range(np.full((2, 2), 255, np.uint8))
+    for value in (-1.1, 2.1, np.nan, 255):
+        with pytest.raises(ShapeError, match=r"^grey: .*need floats in \[0, 1\]"):
+            require_unit_range(np.full((2, 2), value, np.float32), "grey")
+
+
+def test_seeds_and_generators():
+    rng = np.random.default_rng(7)
+    assert as_generator(rng) is rng
+    expected = np.random.default_rng(7).random(5)
+    for seed in (7, np.int64(7), np.uint8(7)):
+        np.testing.assert_array_equal(as_generator(seed).random(5), expected)
+
+
+@pytest.mark.parametrize("rng", [None, -1, 1.0, True, "0", [1], np.random.RandomState(0), np.random], ids=repr)
+def test_what_is_no_source_of_randomness_is_refused(rng):
+    with pytest.raises(ShapeError, match=r"^rng: [^\n]+; need a numpy.random.Generator, or a seed: an integer >= 0$"):
+        as_generator(rng)
+
+
+def test_arrays_of_subclasses_become_plain_and_masked_ones_are_refused():
+    for array in (np.array([[1.0, 2.0]]).view(np.matrix), np.array([[1.0, 2.0]])):
+        assert type(as_floats(array, "a")) is type(as_plain(array, "a")) is np.ndarray
+    for function in (as_floats, as_plain):
+        with pytest.raises(ShapeError, match="a: a masked array; need a plain one"):
+            function(np.ma.masked_equal([1.0, 2.0], 2.0), "a")

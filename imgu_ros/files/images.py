@@ -115,7 +115,7 @@ def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality
     ----------
     path : .png (8 or 16 bit), .tif or .tiff (8 or 16 bit, float32), .jpg or .jpeg (8 bit), .pgm (grey), .ppm (colour),
         .pnm (either; 8 or 16 bit), .pbm (0 and 255 alone)
-    pixels : (H, W) or (H, W, 3) RGB
+    pixels : (H, W) or (H, W, 3) RGB; bool is written as black and white, other types as `as_image` takes them
     plain : write PNM as text
     quality : of a JPEG, 0 to 100
 
@@ -127,6 +127,8 @@ def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality
         If `pixels` is not an image.
     """
     path = Path(path)
+    if isinstance(pixels, np.ndarray) and pixels.dtype == np.bool_:
+        pixels = as_image(pixels, "image", (1, 3), (np.uint8,))
     check_image_file(path, pixels)
     pixels = as_image(pixels, "image", (1, 3))
     encoded = _encoded(path, path.suffix.lower(), pixels, plain, quality)
@@ -159,7 +161,7 @@ def check_image_file(path: Path | str, pixels: Image | None = None) -> None:
         return
     pixels = as_image(pixels, "image", (1, 3))
     try:
-        as_image(pixels, "image", *_WRITABLE[suffix])
+        as_image(pixels, "image", *_WRITABLE[suffix], rescaled=False)
     except ShapeError as error:
         raise FileError(f"{path}: {error} in a {suffix} file") from None
 

@@ -96,7 +96,8 @@ def encode_pnm(pixels: Image, *, plain: bool = False, bitmap: bool = False) -> b
     >>> encode_pnm(np.array([[1, 2]], np.uint16))
     b'P5\n2 1\n65535\n\x00\x01\x00\x02'
     """
-    pixels = as_image(pixels, "image", (1,) if bitmap else (1, 3), (np.uint8,) if bitmap else (np.uint8, np.uint16))
+    dtypes = (np.uint8,) if bitmap else (np.uint8, np.uint16)
+    pixels = as_image(pixels, "image", (1,) if bitmap else (1, 3), dtypes, rescaled=False)
     height, width = pixels.shape[:2]
     if bitmap:
         if not np.isin(pixels, (0, 255)).all():

@@ -257,7 +257,10 @@ def _checked_pixels(image: RawImage) -> Image:
         raise ShapeError("layout: a Bayer image without a pattern; need one")
     packed = layout.color in (ColorModel.UYVY, ColorModel.YUYV)
     dtypes = (np.uint8,) if packed else (np.uint8, np.uint16)
-    pixels = as_image(pixels, "pixels", (_CHANNELS[layout.color],), dtypes)
+    pixels = as_image(pixels, "pixels", (_CHANNELS[layout.color],), dtypes, rescaled=False)
+    if image.pixels.dtype.type not in dtypes:
+        need = ", ".join(np.dtype(d).name for d in dtypes)
+        raise ShapeError(f"pixels: data type {image.pixels.dtype}; need {need}")
     if layout.color is ColorModel.BAYER and min(pixels.shape) < 2:
         raise ShapeError(f"pixels: shape {pixels.shape}; need at least one 2x2 quad")
     if packed and pixels.shape[1] % 2:

@@ -56,7 +56,9 @@ def arrange_scene(targets: Sequence[TargetImage], seed: int = 0) -> Scene:
     if len(set(names)) < len(names):
         raise ShapeError(f"targets: names {', '.join(names)}; need distinct names")
     for target in targets:
-        as_image(target.pixels, f"target {target.name}", channels=(1, 3), dtypes=(np.uint8,))
+        as_image(target.pixels, f"target {target.name}", channels=(1, 3), dtypes=(np.uint8,), rescaled=False)
+        if target.pixels.dtype != np.uint8:
+            raise ShapeError(f"target {target.name}: data type {target.pixels.dtype}; need uint8")
         if not (math.isfinite(target.width_m) and target.width_m > 0):
             raise ShapeError(f"target {target.name}: width {target.width_m:g} m; need more than 0")
     if len(targets) == 1:

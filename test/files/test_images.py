@@ -230,3 +230,10 @@ def test_damage_gives_a_picture_or_one_line(tmp_path, suffix, capfd):
     # libjpeg warns of bytes that it leaves out; OpenCV 4 prints what it throws.
     if suffix != ".jpg" and cv2.__version__ >= "5":
         assert capfd.readouterr().err == ""
+
+
+def test_a_mask_is_written_as_black_and_white(tmp_path):
+    mask = np.array([[True, False, True]])
+    for suffix in (".png", ".pgm", ".pbm", ".tif"):
+        write_image(tmp_path / f"mask{suffix}", mask)
+        np.testing.assert_array_equal(read_image(tmp_path / f"mask{suffix}"), np.array([[255, 0, 255]], np.uint8))

@@ -24,7 +24,7 @@ _RANK_TOLERANCE = 1e-6
 def estimate_projection(
     world: ArrayLike,
     pixels: ArrayLike,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     threshold_px: float = 3.0,
     sampler: Sampler | str = Sampler.UNIFORM,
@@ -37,7 +37,7 @@ def estimate_projection(
     ----------
     world : (N, 3), N >= 6, not in one plane; best first when the sampler is prosac
     pixels : (N, 2) px, without lens distortion
-    rng : source of the draws
+    rng : source of the draws, or its seed
     threshold_px : largest reprojection error of an inlier
     sampler, confidence, max_iterations : see `ransac`
 

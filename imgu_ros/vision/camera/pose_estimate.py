@@ -76,7 +76,7 @@ def estimate_pose(
     points: ArrayLike,
     pixels: ArrayLike,
     camera: Camera,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     threshold_px: float = 3.0,
     confidence: float = 0.9999,
@@ -87,7 +87,7 @@ def estimate_pose(
     Parameters
     ----------
     points, pixels, camera : as in `fit_pose`
-    rng : source of the draws
+    rng : source of the draws, or its seed
     threshold_px : largest reprojection error of an inlier
     confidence, max_iterations : see `ransac`
 

@@ -46,7 +46,7 @@ def estimate_rotation(
     dst: ArrayLike,
     camera_src: Camera,
     camera_dst: Camera,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     threshold_px: float = 3.0,
     sampler: Sampler | str = Sampler.UNIFORM,
@@ -59,7 +59,7 @@ def estimate_rotation(
     ----------
     src, dst : (N, 2) raw px of the two views, N >= 2
     camera_src, camera_dst : of the two views
-    rng : source of the draws
+    rng : source of the draws, or its seed
     threshold_px : largest error of an inlier in dst, px
     sampler, confidence, max_iterations : see `ransac`
 

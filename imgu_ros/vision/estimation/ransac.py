@@ -84,7 +84,7 @@ class Consensus:
 def ransac(
     model: RobustModel,
     threshold: float,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     sampler: Sampler | str = Sampler.UNIFORM,
     score: Score | str = Score.TRUNCATED,
@@ -99,7 +99,7 @@ def ransac(
     ----------
     model : see `RobustModel`
     threshold : largest error of an inlier, in the unit of the model's errors
-    rng : source of the draws
+    rng : source of the draws, or its seed
     sampler : uniform, or prosac when the points are sorted best first
     score : what is minimised
     confidence : stop when a better sample than the best would have been drawn with this probability

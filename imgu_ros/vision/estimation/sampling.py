@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imgu_ros.errors import ShapeError, TooFewPoints
-from imgu_ros.types import Choice, Indices
+from imgu_ros.types import Choice, Indices, as_generator
 
 
 class Sampler(Choice):
@@ -23,7 +23,7 @@ FIRST_BATCH = 16
 
 
 def draw_samples(
-    sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator, largest_batch: int = 128
+    sampler: Sampler | str, count: int, sample_size: int, rng: np.random.Generator | int, largest_batch: int = 128
 ) -> Iterator[Indices]:
     """Draw samples of different points without end, in batches that double from FIRST_BATCH to the largest.
 
@@ -33,7 +33,7 @@ def draw_samples(
         set of the best (Chum & Matas 2005, equations 3 to 5; notes 7.6)
     count : number of points N
     sample_size : points in a sample m
-    rng : source of the draws
+    rng : source of the draws, or its seed
     largest_batch : most samples drawn at once
 
     Yields
@@ -53,6 +53,7 @@ def draw_samples(
     >>> sorted(samples[0].tolist())  # the best four first
     [0, 1, 2, 3]
     """
+    rng = as_generator(rng)
     if sample_size < 1 or largest_batch < 1:
         raise ShapeError(f"sample_size, largest_batch: {sample_size}, {largest_batch}; need at least 1")
     if count < sample_size:

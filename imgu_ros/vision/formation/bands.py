@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Floats, Image, as_matrix
+from imgu_ros.types import Choice, Floats, Image, as_matrix, as_plain
 
 _LARGEST = float(np.finfo(np.float32).max)
 _SAMPLES = 1 << 16
@@ -264,10 +264,10 @@ def _chosen(cube: Image, bands: Sequence[int]) -> Image:
 
 
 def _as_cube(cube: Image) -> Image:
-    if not isinstance(cube, np.ndarray) or cube.ndim not in (2, 3) or not cube.size:
-        shape = getattr(cube, "shape", type(cube).__name__)
-        raise ShapeError(f"cube: {shape}; need (H, W) or (H, W, N) with at least one pixel")
-    if cube.dtype.kind not in "uif":
+    cube = as_plain(cube, "cube")
+    if cube.ndim not in (2, 3) or not cube.size:
+        raise ShapeError(f"cube: shape {cube.shape}; need (H, W) or (H, W, N) with at least one pixel")
+    if cube.dtype.kind not in "buif":
         raise ShapeError(f"cube: data type {cube.dtype}; need real numbers")
     cube = np.asarray(cube, dtype=cube.dtype.newbyteorder("="))
     return cube if cube.ndim == 3 else cube[:, :, None]

@@ -79,7 +79,7 @@ def as_mosaic(raw: Image, name: str = "raw") -> Image:
     ShapeError
         If it is not such an image.
     """
-    raw = as_image(raw, name, dtypes=(np.uint8, np.uint16))
+    raw = as_image(raw, name, dtypes=(np.uint8, np.uint16), rescaled=False)
     if min(raw.shape) < 2:
         raise ShapeError(f"{name}: shape {raw.shape}; need at least one 2x2 quad")
     return raw

@@ -48,7 +48,7 @@ def with_levels(
     >>> with_levels(raw, BayerPattern.RGGB, 64, 1023, (1.0, 1.0, 2.0)).tolist()
     [[0, 65535], [32802, 32802]]
     """
-    raw = as_image(raw, "raw", dtypes=(np.uint8, np.uint16))
+    raw = as_image(raw, "raw", dtypes=(np.uint8, np.uint16), rescaled=False)
     top = float(np.iinfo(raw.dtype).max)
     _require_range(black, white or top)
     if len(gains) != 3 or not all(math.isfinite(g) and g >= 0 for g in gains):

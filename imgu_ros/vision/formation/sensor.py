@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image, as_floats, as_image
+from imgu_ros.types import Floats, Image, as_floats, as_generator, as_image
 
 #: Bit depths of analogue-to-digital converters that can be simulated.
 BIT_DEPTHS = (8, 10, 12, 14, 16)
@@ -114,14 +114,14 @@ def quantise(signal: Image, bits: int) -> Image:
     return np.asarray(steps, np.uint8 if bits == 8 else np.uint16)
 
 
-def expose(light: Image, sensor: Sensor, rng: np.random.Generator) -> Image:
+def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Image:
     """Turn light into digital numbers.
 
     Parameters
     ----------
     light : (H, W) or (H, W, C) float32, 1 saturates the sensor; negative counts as 0
     sensor : its noise and converter
-    rng : source of the noise
+    rng : source of the noise, or its seed
 
     Returns
     -------
@@ -130,7 +130,7 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator) -> Image:
     Raises
     ------
     ShapeError
-        If `light` is not float32.
+        If `light` is not such an image.
 
     Examples
     --------
@@ -140,6 +140,7 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator) -> Image:
     ('uint16', 2048, 29)
     """
     light = as_image(light, "light", channels=(1, 3, 4), dtypes=(np.float32,))
+    rng = as_generator(rng)
     electrons = np.minimum(light, np.float32(_MOST_LIGHT))
     electrons *= np.float32(sensor.full_well_e)
     np.maximum(electrons, 0, out=electrons)

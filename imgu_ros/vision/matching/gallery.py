@@ -52,7 +52,7 @@ def prepare_gallery(
     ShapeError
         If rows, data type or metric do not fit each other, a row is not finite, or the places are not (M, 2).
     """
-    checked_rows(descriptors, "dst")
+    descriptors = checked_rows(descriptors, "dst")
     metric = metric_of_rows(descriptors, metric)
     places = None
     if xy is not None:

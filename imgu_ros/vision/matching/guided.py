@@ -12,7 +12,7 @@ from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.nonlinear import Minimiser
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
-from imgu_ros.vision.matching.metrics import Metric, checked_rows, require_comparable
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, comparable_rows
 from imgu_ros.vision.matching.near import near_pairs
 from imgu_ros.vision.projective.estimate import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate
@@ -171,7 +171,7 @@ class _Near:
 
 def _guided(src: Image, near: _Near, src_xy: Points, H: Matrix3) -> Matches:
     dst, prepared = near.gallery.descriptors, near.gallery.prepared
-    require_comparable(src, dst.shape[1], dst.dtype.type)
+    src = comparable_rows(src, dst.shape[1], dst.dtype.type)
     for name, distance_px in (("radius_px", near.radius_px), ("same_place_px", near.same_place_px)):
         if not 0 <= distance_px < _LARGEST_PX:
             raise ShapeError(f"{name}: {distance_px!r}; need 0 to {_LARGEST_PX:g}")

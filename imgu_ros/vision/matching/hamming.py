@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices
-from imgu_ros.vision.matching.metrics import checked_rows, require_comparable, require_index
+from imgu_ros.vision.matching.metrics import checked_rows, comparable_rows, require_index
 
 #: Of bits that one product sums up: two such sums fit exactly into the 24 bits of a float32.
 _CHUNK_BITS = 256
@@ -47,7 +47,7 @@ class BinaryRows:
         (n, M) int16 (int32 where D >= 2^14) of D - 2 Hamming, and 256 more for each chunk. The n sum up to N. The
         next block overwrites it. O(N M D).
         """
-        require_comparable(src, self.rows.shape[1], np.uint8)
+        src = comparable_rows(src, self.rows.shape[1], np.uint8)
         pairs, bits = (len(self.rows) + 1) // 2, 8 * self.rows.shape[1]
         operands = [np.pad(signs, ((0, 0), (0, 1)), constant_values=1) for signs in _signs(src)]
         height = max(1, min(len(src), _BLOCK_ELEMENTS // max(1, 2 * pairs)))
@@ -76,7 +76,7 @@ class BinaryRows:
 
     def distances(self, src: Image, index: Indices) -> Floats:
         """Return in how many bits each row of `src`, (N, D / 8) uint8, differs from the one of its index, (N,)."""
-        require_comparable(src, self.rows.shape[1], np.uint8)
+        src = comparable_rows(src, self.rows.shape[1], np.uint8)
         require_index(index, len(src), len(self.rows))
         differing: NDArray[np.uint8] = np.bitwise_xor(src, self.rows[index])
         return np.asarray(np.unpackbits(differing, axis=1).sum(axis=1), np.float64)
@@ -95,7 +95,8 @@ def binary_rows(rows: Image) -> BinaryRows:
     ShapeError
         If the rows are not of that kind.
     """
-    if checked_rows(rows, "rows").dtype != np.uint8:
+    rows = checked_rows(rows, "rows")
+    if rows.dtype != np.uint8:
         raise ShapeError(f"rows: data type {rows.dtype}; need uint8")
     chunks = []
     for signs in _signs(rows):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices
-from imgu_ros.vision.matching.metrics import checked_rows, require_comparable
+from imgu_ros.vision.matching.metrics import checked_rows, comparable_rows
 
 #: With more bits in a number fewer rows share it by chance, and more tables make good what that misses.
 _TABLES = 16
@@ -70,7 +70,7 @@ class DescriptorIndex:
             If the rows are not of the pictures' kind.
         """
         width = self.bits.shape[1] if self.projection is None else self.projection.shape[0]
-        require_comparable(rows, width, np.uint8 if self.projection is None else np.float32)
+        rows = comparable_rows(rows, width, np.uint8 if self.projection is None else np.float32)
         if not len(rows) or not len(self.bits):
             return np.zeros(self.count, np.intp)
         bits = _as_bits(rows, self.projection)
@@ -124,9 +124,9 @@ def build_index(pictures: Sequence[Image], seed: int = _SEED) -> DescriptorIndex
         raise ShapeError("pictures: none; need at least one")
     if not isinstance(seed, int) or seed < 0:
         raise ShapeError(f"seed: {seed!r}; need an integer >= 0")
-    for number, rows in enumerate(pictures):
-        checked_rows(rows, f"pictures[{number}]")
-        require_comparable(rows, pictures[0].shape[1], pictures[0].dtype.type)
+    pictures = [checked_rows(rows, f"pictures[{number}]") for number, rows in enumerate(pictures)]
+    for rows in pictures:
+        comparable_rows(rows, pictures[0].shape[1], pictures[0].dtype.type)
     rng = np.random.default_rng(seed)
     projection = None
     if pictures[0].dtype != np.uint8:

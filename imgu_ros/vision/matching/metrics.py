@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Image, Indices
+from imgu_ros.types import Choice, Image, Indices, as_plain
 from imgu_ros.vision.descriptors.describe import DescriptorKind
 
 
@@ -62,7 +62,7 @@ def metric_of_rows(rows: Image, metric: Metric | str = Metric.AUTO) -> Metric:
     ShapeError
         If the metric does not fit the rows' data type.
     """
-    checked_rows(rows, "rows")
+    rows = checked_rows(rows, "rows")
     metric = Metric(metric)
     if metric is Metric.AUTO:
         return Metric.HAMMING if rows.dtype == np.uint8 else Metric.EUCLIDEAN
@@ -72,11 +72,12 @@ def metric_of_rows(rows: Image, metric: Metric | str = Metric.AUTO) -> Metric:
 
 
 def checked_rows(rows: Image, name: str) -> Image:
-    """Return descriptors when they are (N, D >= 1) uint8 or finite float32.
+    """Return descriptors as (N, D >= 1) uint8 or finite float32.
 
     Parameters
     ----------
-    rows : (N, D)
+    rows : (N, D), uint8 (bits) or float32. float64 is taken as float32, and bool, a row of bits each (scikit-image),
+        as those bits packed into uint8
     name : what the error calls them
 
     Raises
@@ -84,8 +85,12 @@ def checked_rows(rows: Image, name: str) -> Image:
     ShapeError
         If they are not.
     """
-    if not isinstance(rows, np.ndarray):
-        raise ShapeError(f"{name}: {type(rows).__name__}; need a numpy array")
+    rows = as_plain(rows, name)
+    if rows.ndim == 2 and rows.dtype == np.bool_:
+        rows = np.packbits(rows, axis=1)
+    if rows.ndim == 2 and rows.dtype.kind == "f" and rows.dtype != np.float32:
+        with np.errstate(over="ignore"):
+            rows = rows.astype(np.float32)
     if rows.ndim != 2 or not rows.shape[1] or rows.dtype not in (np.uint8, np.float32):
         raise ShapeError(f"{name}: shape {rows.shape}, data type {rows.dtype}; need (N, D >= 1) uint8 or float32")
     # Extremes find NaN and infinity without an array of flags.
@@ -94,17 +99,18 @@ def checked_rows(rows: Image, name: str) -> Image:
     return rows
 
 
-def require_comparable(src: Image, columns: int, dtype: type) -> None:
-    """Check that the descriptors `src` can be compared with others of `columns` elements of `dtype`.
+def comparable_rows(src: Image, columns: int, dtype: type) -> Image:
+    """Return the descriptors `src`, (N, `columns`), as `checked_rows` does, when others of `dtype` compare with them.
 
     Raises
     ------
     ShapeError
         If `checked_rows` refuses them, or they have another length or data type.
     """
-    checked_rows(src, "src")
+    src = checked_rows(src, "src")
     if src.shape[1] != columns or src.dtype != dtype:
         raise ShapeError(f"src: {src.shape[1]} x {src.dtype}; need {columns} x {np.dtype(dtype)}, as dst")
+    return src
 
 
 def require_index(index: Indices, length: int, count: int) -> None:

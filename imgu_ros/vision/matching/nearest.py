@@ -12,7 +12,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices, Mask, Points
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
-from imgu_ros.vision.matching.metrics import Metric, checked_rows, require_comparable
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, comparable_rows
 
 
 def match(
@@ -28,7 +28,7 @@ def match(
 
     Parameters
     ----------
-    src, dst : (N, D) and (M, D), uint8 (bits) or float32
+    src, dst : (N, D) and (M, D), uint8 (bits) or float32; see `checked_rows` for others
     metric : see `Metric`
     ratio : > 0; keep a match when its distance is below `ratio` times that of the second nearest; 1 keeps all.
         (The notes, 5.3.2, have the sign the other way round.)
@@ -55,7 +55,7 @@ def match(
     >>> found.index_src.tolist(), found.index_dst.tolist(), found.distance.tolist()
     ([0, 2], [1, 0], [1.0, 1.0])
     """
-    checked_rows(src, "src")
+    src = checked_rows(src, "src")
     return match_to_gallery(src, prepare_gallery(dst, metric, dst_xy, same_place_px), ratio, mutual)
 
 
@@ -81,7 +81,7 @@ def match_to_gallery(src: Image, gallery: Gallery, ratio: float = 0.85, mutual: 
     >>> match_to_gallery(target[40:43], gallery).index_dst.tolist()
     [40, 41, 42]
     """
-    require_comparable(src, gallery.descriptors.shape[1], gallery.descriptors.dtype.type)
+    src = comparable_rows(src, gallery.descriptors.shape[1], gallery.descriptors.dtype.type)
     if not ratio > 0:
         raise ShapeError(f"ratio: {ratio!r}; need a number > 0")
     if not len(src) or not len(gallery):

@@ -14,8 +14,8 @@ from imgu_ros.types import Floats, Image, Indices
 from imgu_ros.vision.matching.metrics import (
     Metric,
     checked_rows,
+    comparable_rows,
     metric_of_rows,
-    require_comparable,
     require_index,
 )
 
@@ -53,7 +53,7 @@ class NumberRows:
         ------
         (n, M) float32 or float64, the n sum up to N. O(N M D).
         """
-        require_comparable(src, self.rows.shape[1], np.float32)
+        src = comparable_rows(src, self.rows.shape[1], np.float32)
         a, b = _compared(src, self.metric, self.origin), self.rows
         if a.dtype != b.dtype:
             a, b = a.astype(np.float64), b.astype(np.float64)
@@ -70,7 +70,7 @@ class NumberRows:
 
     def distances(self, src: Image, index: Indices) -> Floats:
         """Return the distance of each row of `src`, (N, D) float32, to the one of its index, (N,), as float64."""
-        require_comparable(src, self.rows.shape[1], np.float32)
+        src = comparable_rows(src, self.rows.shape[1], np.float32)
         require_index(index, len(src), len(self.rows))
         a, b = _compared(src, self.metric, self.origin), self.rows[index]
         squared = np.square(a.astype(np.float64) - b).sum(axis=1)
@@ -88,7 +88,8 @@ def number_rows(rows: Image, metric: Metric | str) -> NumberRows:
     ShapeError
         If the rows or the metric are not of that kind.
     """
-    metric = metric_of_rows(checked_rows(rows, "rows"), metric)
+    rows = checked_rows(rows, "rows")
+    metric = metric_of_rows(rows, metric)
     if metric is Metric.HAMMING:
         raise ShapeError(f"rows: data type {rows.dtype}; need float32")
     origin = np.zeros(rows.shape[1])

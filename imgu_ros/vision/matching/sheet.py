@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import IMAGE_DTYPES, Image, as_points
+from imgu_ros.types import IMAGE_DTYPES, Image, as_image, as_points
 
 #: OpenCV's maps hold 16-bit places.
 TALLEST_PX = 32000
@@ -63,9 +63,8 @@ class Sheet:
         ShapeError
             If it is no picture, a square reaches beyond it, or what a square holds is not finite.
         """
-        if not isinstance(picture, np.ndarray) or picture.dtype.type not in IMAGE_DTYPES:
-            kind = getattr(picture, "dtype", type(picture).__name__)
-            raise ShapeError(f"picture: {kind}; need an array of uint8, uint16 or float32")
+        if type(picture) is not np.ndarray or picture.dtype.type not in IMAGE_DTYPES:
+            picture = as_image(picture, "picture")
         if picture.ndim != 2 or picture.shape[0] < self._bottom or picture.shape[1] < self._right:
             raise ShapeError(f"picture: shape {picture.shape}; need (H, W) that holds every square")
         height, width = picture.shape

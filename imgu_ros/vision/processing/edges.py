@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, Mask, as_image
+from imgu_ros.types import Image, Mask, as_image, require_unit_range
 from imgu_ros.vision.processing.borders import Border
 from imgu_ros.vision.processing.derivatives import Derivative, gradient
 from imgu_ros.vision.processing.points import full_scale, require_range
@@ -129,6 +129,7 @@ def canny(image: Image, low: float, high: float, sigma: float = 1.0) -> Mask:
         raise ShapeError(f"low, high: {low!r}, {high!r}; need 0 <= low <= high")
     if not 0 <= sigma <= 100:
         raise ShapeError(f"sigma: {sigma!r}; need 0 to 100 px")
+    require_unit_range(image)
     picture = np.clip(image, 0, 1) if image.dtype.kind == "f" else image.astype(np.float32)
     # A slope is at most half the range for each px, along x and along y.
     steps = _STEPS / full_scale(image.dtype)

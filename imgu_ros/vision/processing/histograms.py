@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, as_image
+from imgu_ros.types import Image, as_image, require_unit_range
 from imgu_ros.vision.processing.points import full_scale
 
 _MOST_BINS = 65536
@@ -19,7 +19,7 @@ def histogram(image: Image, bins: int = 256) -> NDArray[np.int64]:
     """Count the pixels of each range of values.
 
     Bin i counts the values from i l up to, not including, (i + 1) l, where l = (values of the type) / bins:
-    256 / bins for uint8, 65536 / bins for uint16. Floats are counted in [0, 1]: what lies outside counts in the
+    256 / bins for uint8, 65536 / bins for uint16. Floats are counted in [0, 1]: an overshoot, -1 to 2, counts in the
     first or last bin, and 1 in the last.
 
     Parameters
@@ -49,6 +49,7 @@ def histogram(image: Image, bins: int = 256) -> NDArray[np.int64]:
     if isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 1 <= bins <= _MOST_BINS:
         raise ShapeError(f"bins: {bins!r}; need an integer, 1 to {_MOST_BINS}")
     if image.dtype.kind == "f":
+        require_unit_range(image)
         position = np.clip(image.astype(np.float64), 0, 1) * bins
         return np.bincount(np.minimum(position.astype(np.intp), bins - 1).ravel(), minlength=bins).astype(np.int64)
     counts = _counts(image)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image, as_image, as_matrix
+from imgu_ros.types import Floats, Image, as_image, as_matrix, require_unit_range
 
 #: Weights of red, green and blue in brightness (ITU-R BT.601; notes 2.1.2).
 REC601 = (0.299, 0.587, 0.114)
@@ -46,6 +46,7 @@ def adjust(image: Image, contrast: float = 1.0, brightness: float = 0.0) -> Imag
     [[1, 151, 255]]
     """
     image = as_image(image, channels=(1, 3))
+    require_unit_range(image)
     if not abs(contrast) <= _LARGEST_GAIN:
         raise ShapeError(f"contrast: {contrast!r}; need -1e6 to 1e6")
     if not abs(brightness) <= full_scale(image.dtype) * _LARGEST_GAIN:
@@ -72,6 +73,7 @@ def gamma_corrected(image: Image, exponent: float) -> Image:
     [[0, 128, 255]]
     """
     image = as_image(image, channels=(1, 3))
+    require_unit_range(image)
     if not 0.01 <= exponent <= 100:
         raise ShapeError(f"exponent: {exponent!r}; need 0.01 to 100")
     full = full_scale(image.dtype)

@@ -35,7 +35,7 @@ _MIN_ASPECT = 0.02
 def estimate_homography(
     src: ArrayLike,
     dst: ArrayLike,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     threshold_px: float = 3.0,
     sampler: Sampler | str = Sampler.UNIFORM,
@@ -51,7 +51,7 @@ def estimate_homography(
     Parameters
     ----------
     src, dst : (N, 2) px, N >= 4, best first when the sampler is prosac
-    rng : source of the draws
+    rng : source of the draws, or its seed
     threshold_px : largest distance in dst of an inlier
     sampler, confidence, max_iterations, min_inliers : see `ransac`
     score : what the search minimises. `biweight`: of the distances in both images, for most inliers also where

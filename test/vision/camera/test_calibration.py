@@ -132,7 +132,7 @@ def test_no_board_in_sight() -> None:
     assert find_chessboard(rng.integers(0, 255, (240, 320), np.uint8), BOARD) is None
     assert find_chessboard(np.full((3, 3), 7, np.uint8), BOARD) is None
     with pytest.raises(ShapeError):
-        find_chessboard(np.zeros((20, 20)), BOARD)
+        find_chessboard(np.full((20, 20), 200.0), BOARD)
 
 
 def test_different_views_are_chosen() -> None:

@@ -212,8 +212,8 @@ def test_huge_values_are_clamped():
         (lambda c: spectral_angle(c, [0, 0, 0]), "reference: all 0"),
         (lambda c: spectral_angle(c, [0, np.nan, 0]), "reference: 1 values are not finite"),
         (lambda c: mean_of_bands(c.astype(complex)), "cube: data type complex128"),
-        (lambda c: mean_of_bands(c[:0]), "cube: (0, 5, 3); need"),
-        (lambda c: principal_component(c[0, 0]), "cube: (3,); need"),
+        (lambda c: mean_of_bands(c[:0]), "cube: shape (0, 5, 3); need"),
+        (lambda c: principal_component(c[0, 0]), "cube: shape (3,); need"),
     ],
 )
 def test_impossible_calls_are_refused(call, message):

@@ -59,7 +59,7 @@ def test_big_endian_pictures_come_out_native(dtype):
     [
         (np.zeros((4, 4), np.uint8), "rggb"),
         (np.zeros((0, 4, 3), np.uint8), "rggb"),
-        (np.zeros((4, 4, 3)), "rggb"),
+        (np.full((4, 4, 3), -1), "rggb"),
         ([[[1, 2, 3]]], "rggb"),
         (np.full((2, 2, 3), np.nan, np.float32), "rggb"),
         (np.zeros((4, 4, 3), np.uint8), "rgbg"),

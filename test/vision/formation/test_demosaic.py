@@ -253,7 +253,7 @@ BAD = [
     (np.zeros(16, np.uint8), "rggb"),
     (np.zeros((4, 4)), "rggb"),
     (np.zeros((4, 4), np.float32), "rggb"),
-    (np.zeros((4, 4), np.int16), "rggb"),
+    (np.full((4, 4), -1, np.int16), "rggb"),
     (np.zeros((4, 4), bool), "rggb"),
     (np.zeros((4, 4), object), "rggb"),
     ([[1, 2], [3, 4]], "rggb"),

@@ -145,7 +145,7 @@ def test_small_range_on_a_large_offset():
     [
         (np.full((4, 4), np.nan, np.float32), 0, None),
         (np.array([[0, np.inf]], np.float32), 0, 1),
-        (np.zeros((4, 4)), 0, 1),
+        (np.zeros((4, 4), complex), 0, 1),
         (np.zeros((0, 4), np.uint8), 0, None),
         (np.zeros((4, 4, 3), np.uint8), 0, None),
         (np.zeros((4, 4), np.uint8), 10, 10),

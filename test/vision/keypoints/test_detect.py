@@ -201,8 +201,9 @@ def test_read_only_views_and_repeatability(detector):
     "picture",
     [
         np.zeros((50, 50), np.uint16),
-        np.zeros((50, 50), np.float32),
-        np.zeros((50, 50)),
+        np.full((50, 50), 9, np.float32),
+        np.full((50, 50), 300),
+        np.zeros((50, 50), complex),
         np.zeros((50, 50, 3), np.uint8),
         np.zeros((0, 0), np.uint8),
         None,

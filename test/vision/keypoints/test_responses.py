@@ -182,7 +182,7 @@ def test_moravec_of_floats_and_of_edges():
 
 @pytest.mark.parametrize("function", [moravec_response, harris_response])
 def test_responses_refuse_what_leaves_the_range(function):
-    for image in (np.zeros((9, 9)), np.zeros((9, 9), np.uint16), np.full((9, 9), 1e7, np.float32), [[1]]):
+    for image in (np.zeros((9, 9), complex), np.zeros((9, 9), np.uint16), np.full((9, 9), 1e7, np.float32), [[1]]):
         with pytest.raises(ShapeError, match=r"^image: [^\n]+need[^\n]+$"):
             function(image)
 
@@ -213,6 +213,6 @@ def test_paraboloids_have_their_vertex_found(u, v, height, slant):
 
 
 def test_harris_refuses_what_it_cannot_read():
-    for image in (np.zeros((9, 9)), np.zeros((9, 9), np.uint16), np.full((9, 9), np.nan, np.float32), [[1]]):
+    for image in (np.zeros((9, 9), complex), np.zeros((9, 9), np.uint16), np.full((9, 9), np.nan, np.float32), [[1]]):
         with pytest.raises(ShapeError):
             harris_response(image)

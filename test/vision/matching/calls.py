@@ -15,10 +15,10 @@ from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import (
     checked_rows,
+    comparable_rows,
     metric_for,
     metric_of_rows,
     metrics_of,
-    require_comparable,
     require_index,
 )
 from imgu_ros.vision.matching.near import near_pairs
@@ -96,7 +96,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     metric_of_rows: lambda rng: {"rows": bits(rng, 4)},
     metrics_of: lambda rng: {"kind": "orb"},
     metric_for: lambda rng: {"kind": "orb", "metric": "auto"},
-    require_comparable: lambda rng: {"src": bits(rng, 4), "columns": 8, "dtype": np.uint8},
+    comparable_rows: lambda rng: {"src": bits(rng, 4), "columns": 8, "dtype": np.uint8},
     require_index: lambda rng: {"index": rng.integers(0, 9, 5), "length": 5, "count": 9},
     binary_rows: lambda rng: {"rows": bits(rng, 5)},
     BinaryRows.tables: lambda rng: {"self": binary_rows(bits(rng, 5)), "src": bits(rng, 4)},

@@ -150,7 +150,7 @@ XY = np.array([[0.0, 0], [9, 0], [0, 9]])
 @pytest.mark.parametrize(
     "change",
     [
-        {"src": F.astype(np.float64)},
+        {"src": F.astype(np.int64)},
         {"dst": F[:, :3]},
         {"src_xy": XY[:2]},
         {"dst_xy": XY[:2]},

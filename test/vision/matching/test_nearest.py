@@ -277,8 +277,7 @@ F, B = np.ones((3, 8), np.float32), np.ones((3, 8), np.uint8)
     [
         (F, B, {}),
         (F, F[:, :4], {}),
-        (F, F.astype(float), {}),
-        (F.astype(">f4"), F, {}),
+        (F, F.astype(int), {}),
         (F.tolist(), F, {}),
         (None, F, {}),
         (F[0], F, {}),

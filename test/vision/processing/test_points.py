@@ -56,7 +56,7 @@ def test_grey_by_hand():
     [
         lambda: adjust(np.zeros((2, 2), np.uint8), contrast=np.inf),
         lambda: adjust(np.zeros((2, 2), np.uint8), brightness=np.nan),
-        lambda: adjust(np.zeros((2, 2))),
+        lambda: adjust(np.full((2, 2), 255.0)),
         lambda: gamma_corrected(np.zeros((2, 2), np.uint8), 0),
         lambda: grey_from_rgb(np.zeros((2, 2), np.uint8)),
         lambda: grey_from_rgb(np.zeros((2, 2, 3), np.uint8), (1, 2)),

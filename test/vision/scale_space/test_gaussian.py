@@ -130,8 +130,8 @@ def test_bad_sigma_is_refused(sigma):
     [
         np.zeros((0, 0), np.uint8),
         np.zeros((4, 4, 2), np.uint8),
-        np.zeros((4, 4)),
-        np.zeros((4, 4), np.int16),
+        np.zeros((4, 4), complex),
+        np.full((4, 4), -1, np.int16),
         np.full((4, 4), np.nan, np.float32),
         np.zeros(4, np.uint8),
         "picture",

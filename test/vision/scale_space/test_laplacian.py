@@ -96,7 +96,7 @@ _BASE = np.zeros((4, 5), np.uint8)
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: laplacian_pyramid(np.zeros((4, 4))),
+        lambda: laplacian_pyramid(np.zeros((4, 4), complex)),
         lambda: laplacian_pyramid(np.zeros((4, 4), np.uint8), -1),
         lambda: laplacian_pyramid(np.zeros((4, 4), np.uint8), 33),
         lambda: laplacian_pyramid(np.full((4, 4), 3e38, np.float32)),

@@ -164,7 +164,7 @@ def test_level_is_a_value():
         {"kind": "laplace"},
         {"image": np.zeros((0, 5), np.uint8)},
         {"image": np.zeros((5, 5, 3), np.uint8)},
-        {"image": np.zeros((5, 5))},
+        {"image": np.zeros((5, 5), complex)},
         {"image": np.full((5, 5), np.inf, np.float32)},
     ],
 )

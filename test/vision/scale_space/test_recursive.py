@@ -126,7 +126,7 @@ def test_the_work_does_not_depend_on_sigma(monkeypatch):
         lambda: smooth_recursively(np.zeros((4, 4), np.uint8), 1.0, "round"),
         lambda: smooth_recursively(np.zeros((4, 4), np.uint8), 1.0, "constant", 256),
         lambda: smooth_recursively(np.full((4, 4), 3e38, np.float32), 1.0),
-        lambda: smooth_recursively(np.zeros((4, 4)), 1.0),
+        lambda: smooth_recursively(np.zeros((4, 4), complex), 1.0),
     ],
 )
 def test_bad_input_is_refused(call):
