@@ -73,16 +73,26 @@ class PathHistory:
     ----------
     target_frame : the frame that the poses are given in
     max_length : most poses, >= 1
+
+    Attributes
+    ----------
+    target_frame : as given
     """
 
     def __init__(self, make: MessageFactory, target_frame: str, max_length: int) -> None:
-        if max_length < 1:
-            raise ParameterError(f"path.max_length: {max_length}; need at least 1")
+        self.target_frame = target_frame
         self._make = make
-        self._target_frame = target_frame
-        self._poses: deque[Any] = deque(maxlen=max_length)
+        self._poses: deque[Any] = deque()
+        self.resize(max_length)
         self._last_ns: int | None = None
         self._sent_ns: int | None = None
+
+    def resize(self, max_length: int) -> None:
+        """Hold another number of poses, >= 1, from now on; the latest stay."""
+        if max_length < 1:
+            raise ParameterError(f"path.max_length: {max_length}; need at least 1")
+        if self._poses.maxlen != max_length:
+            self._poses = deque(self._poses, maxlen=max_length)
 
     def clear(self) -> None:
         """Begin anew."""
@@ -94,7 +104,7 @@ class PathHistory:
         if self._last_ns is not None and stamp_ns < self._last_ns - _PATH_PERIOD_NS:
             self.clear()
         self._last_ns = stamp_ns
-        make, header = self._make, Header(stamp_ns, self._target_frame)
+        make, header = self._make, Header(stamp_ns, self.target_frame)
         target_from_camera = camera_from_target.inverse()
         self._poses.append(
             make(

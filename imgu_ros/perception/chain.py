@@ -14,6 +14,7 @@ from imgu_ros.perception.develop import Developed
 from imgu_ros.perception.development import Development, develop_frame
 from imgu_ros.perception.features import find_features
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import posed
 from imgu_ros.perception.prediction import Sighting, Track
@@ -42,12 +43,13 @@ class Chain:
     ----------
     parameters : all parameters
     targets : prepared with the same parameters
+    parts : takes what is made; what was made before of the same targets is used again
     """
 
-    def __init__(self, parameters: Parameters, targets: Sequence[Target]) -> None:
+    def __init__(self, parameters: Parameters, targets: Sequence[Target], parts: Parts | None = None) -> None:
         self._parameters = parameters
         self._targets = tuple(targets)
-        self._seeker = Seeker(self._targets, parameters)
+        self._seeker = Seeker(self._targets, parameters, parts)
         self._tracks: list[Track | None] = []
         self._seen: list[Sighting | None] = []
         self._frames_without_search = 0
@@ -74,6 +76,22 @@ class Chain:
         self._frames_without_search = 0
         self._searches = 0
         self._last_ns = None
+
+    def continue_from(self, before: Chain) -> None:
+        """Go on where another chain stands: tracks of targets that both know by name and picture go on.
+
+        Tracks are of the template's px: they hold whatever the targets' widths and all parameters are.
+        """
+        self.reset()
+        self._last_ns = before._last_ns
+        if not self._parameters.tracking.enabled:
+            return
+        self._frames_without_search, self._searches = before._frames_without_search, before._searches
+        known = {target.name: index for index, target in enumerate(before._targets)}
+        for index, target in enumerate(self._targets):
+            at = known.get(target.name)
+            if at is not None and target.image.shows_the_same(before._targets[at].image):
+                self._tracks[index], self._seen[index] = before._tracks[at], before._seen[at]
 
     def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
         """Work on one frame.

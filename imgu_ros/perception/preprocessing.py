@@ -58,9 +58,18 @@ def preprocessed(
 def for_targets(parameters: PreprocessParameters) -> PreprocessParameters:
     """Return the steps for pictures of targets: a fixed threshold becomes Otsu's.
 
-    A fixed value speaks of the camera's exposure, which a target's picture does not know.
+    A fixed value speaks of the camera's exposure, which a target's picture does not know. Values that no step reads
+    are at their defaults: equal steps treat a picture alike.
     """
-    return replace(parameters, threshold="otsu") if parameters.threshold == "fixed" else parameters
+    none = PreprocessParameters()
+    otsu, edges = parameters.threshold != "none", parameters.edges != "none"
+    return replace(
+        parameters,
+        derivative=(parameters if edges else none).derivative,
+        threshold="otsu" if otsu else "none",
+        threshold_value=none.threshold_value,
+        threshold_bins=(parameters if otsu else none).threshold_bins,
+    )
 
 
 def with_edges(pyramid: Pyramid, parameters: PreprocessParameters) -> Pyramid:

@@ -13,9 +13,11 @@ from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.features import Features, find_features, thoroughly
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.locating import draws
+from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.result import Stage, Status, TargetResult
 from imgu_ros.perception.search import Look, Searched, search, tentative_matches
+from imgu_ros.perception.target_features import TargetFeatures
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -57,14 +59,16 @@ class Seeker:
     ----------
     targets : prepared with the same parameters
     parameters : all parameters
+    parts : takes what is made; what was made before of the same targets is used again
     """
 
-    def __init__(self, targets: Sequence[Target], parameters: Parameters) -> None:
+    def __init__(self, targets: Sequence[Target], parameters: Parameters, parts: Parts | None = None) -> None:
         self._targets = tuple(targets)
         self._parameters = parameters
         self._index: DescriptorIndex | None = None
         if len(targets) > _DIRECT:
-            self._index = build_index([target.features.described.descriptors for target in targets])
+            parts = Parts() if parts is None else parts
+            self._index = parts.make(_index_of, *(target.features for target in targets))
 
     def prepare(self) -> None:
         """Make what the first thorough search would have to wait for."""
@@ -142,6 +146,10 @@ class Seeker:
         votes = self._index.votes(described.descriptors)[candidates]
         order = np.argsort(-votes, kind="stable")
         return [int(index) for index in candidates[order[votes[order] >= fewest]]]
+
+
+def _index_of(*features: TargetFeatures) -> DescriptorIndex:
+    return build_index([known.described.descriptors for known in features])
 
 
 def while_promising(results: Iterable[TargetResult]) -> Iterator[TargetResult]:

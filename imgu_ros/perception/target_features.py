@@ -10,15 +10,15 @@ from threading import Lock
 import cv2
 import numpy as np
 
-from imgu_ros.params import Parameters
-from imgu_ros.perception.features import as_told, thoroughly
+from imgu_ros.params import Parameters, PreprocessParameters
+from imgu_ros.perception.features import as_told
 from imgu_ros.perception.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
-from imgu_ros.vision.keypoints.detect import OF_EVERY_SCALE, detect
+from imgu_ros.vision.keypoints.detect import OF_EVERY_SCALE, Detector, detect
 from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
-from imgu_ros.vision.matching.metrics import metric_for
+from imgu_ros.vision.matching.metrics import Metric, metric_for
 from imgu_ros.vision.scale_space.pyramid import PyramidKind, band_passed, build_pyramid
 
 #: A target may fill this many times the frame's longer side.
@@ -47,16 +47,59 @@ class TargetFeatures:
     gallery: Gallery
 
 
-def target_features(grey: Image, parameters: Parameters) -> TargetFeatures:
+@dataclass(frozen=True, slots=True)
+class DescriptionOptions:
+    """All values that the description of a target depends on: equal options describe it alike.
+
+    Values that the chosen methods do not read are at their defaults.
+
+    Attributes
+    ----------
+    preprocess : steps before keypoints are sought
+    kernel, scales_per_octave, max_side_px : of the frame's pyramid
+    band_passed : whether levels are bands of detail
+    detector, fast_arc, max_count : of the frame's keypoints
+    descriptor, metric : kind, and the distance that it is compared by
+    """
+
+    preprocess: PreprocessParameters
+    kernel: str
+    scales_per_octave: int
+    max_side_px: int
+    band_passed: bool
+    detector: str
+    fast_arc: int
+    max_count: int
+    descriptor: str
+    metric: Metric
+
+
+def description_options(parameters: Parameters) -> DescriptionOptions:
+    """Return what the description of a target depends on, for a first look or, of `thoroughly`, for a thorough one."""
+    p, none = parameters, Parameters()
+    return DescriptionOptions(
+        preprocess=for_targets(p.preprocess),
+        kernel=p.pyramid.kernel,
+        scales_per_octave=p.pyramid.scales_per_octave,
+        max_side_px=p.pyramid.max_side_px,
+        band_passed=p.pyramid.kind == PyramidKind.LAPLACIAN,
+        detector=p.keypoints.detector,
+        fast_arc=(p if p.keypoints.detector == Detector.FAST else none).keypoints.fast_arc,
+        max_count=p.keypoints.max_count,
+        descriptor=p.descriptor.kind,
+        metric=metric_for(p.descriptor.kind, p.matching.metric),
+    )
+
+
+def target_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
     """Describe a target, as it looks from its front, at every scale.
 
     Parameters
     ----------
     grey : (H, W) uint8
-    parameters : all parameters, the frame's
+    options : of a first look
     """
-    described = _described(grey, parameters, round(_RICHNESS * parameters.keypoints.max_count))
-    return _gathered(described, parameters)
+    return _gathered(_described(grey, options, round(_RICHNESS * options.max_count)), options)
 
 
 class FeaturesOnDemand:
@@ -80,7 +123,7 @@ class FeaturesOnDemand:
             return self._features
 
 
-def close_features(grey: Image, parameters: Parameters) -> TargetFeatures:
+def close_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
     """Describe a target as it looks from so near that little of it is in view: densely, and enlarged.
 
     Of keypoints spread over all of a target, at every scale, a part of it seen at one scale has too few.
@@ -88,44 +131,38 @@ def close_features(grey: Image, parameters: Parameters) -> TargetFeatures:
     Parameters
     ----------
     grey : (H, W) uint8
-    parameters : all parameters, the frame's
+    options : of a first look
     """
-    p = parameters
-    enlarged = grey
+    o, enlarged = options, grey
     # A picture with fewer pixels than a frame shows of it is interpolated in the frame as well. These detectors do so.
-    if (
-        p.keypoints.detector not in OF_EVERY_SCALE
-        and _ENLARGED * max(grey.shape) <= _CLOSEST_VIEW * p.pyramid.max_side_px
-    ):
+    if o.detector not in OF_EVERY_SCALE and _ENLARGED * max(grey.shape) <= _CLOSEST_VIEW * o.max_side_px:
         enlarged = cv2.resize(grey, None, fx=_ENLARGED, fy=_ENLARGED, interpolation=cv2.INTER_CUBIC)
-    count = round(_CLOSE_RICHNESS * p.keypoints.max_count)
-    scales = _Scales(_CLOSEST_VIEW, _CLOSE_OCTAVES * p.pyramid.scales_per_octave + 1, even=False)
-    described = _described(enlarged, p, count, scales)
+    scales = _Scales(_CLOSEST_VIEW, _CLOSE_OCTAVES * o.scales_per_octave + 1, even=False)
+    described = _described(enlarged, o, round(_CLOSE_RICHNESS * o.max_count), scales)
     factor = enlarged.shape[0] / grey.shape[0]
     k = described.keypoints
     keypoints = replace(k, xy=(k.xy + 0.5) / factor - 0.5, scale=k.scale / factor)
-    return _gathered(Descriptions(keypoints, described.descriptors), p)
+    return _gathered(Descriptions(keypoints, described.descriptors), o)
 
 
-def thorough_features(grey: Image, parameters: Parameters) -> TargetFeatures:
+def thorough_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
     """Describe a target for a thorough search: with more keypoints, and also in oblique views.
 
     Parameters
     ----------
     grey : (H, W) uint8
-    parameters : all parameters, those of a first look
+    options : of a thorough search
     """
-    p = thoroughly(parameters)
-    views = [_described(grey, p, round(_RICHNESS * p.keypoints.max_count))]
-    views += [_oblique(grey, p, math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS)]
+    views = [_described(grey, options, round(_RICHNESS * options.max_count))]
+    views += [_oblique(grey, options, math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS)]
     keypoints = [view.keypoints for view in views]
     together = Keypoints(
         *(np.concatenate([getattr(k, name) for k in keypoints]) for name in Keypoints.__dataclass_fields__)
     )
-    return _gathered(Descriptions(together, np.concatenate([view.descriptors for view in views])), p)
+    return _gathered(Descriptions(together, np.concatenate([view.descriptors for view in views])), options)
 
 
-def _oblique(grey: Image, parameters: Parameters, direction_rad: float) -> Descriptions:
+def _oblique(grey: Image, options: DescriptionOptions, direction_rad: float) -> Descriptions:
     """Describe a target as it looks when it is turned away about the normal of a direction in its plane."""
     height, width = grey.shape
     c, s = math.cos(direction_rad), math.sin(direction_rad)
@@ -136,7 +173,7 @@ def _oblique(grey: Image, parameters: Parameters, direction_rad: float) -> Descr
     offset = edges.min(axis=0) + 0.5
     turned = cv2.warpAffine(grey, np.column_stack((R, -offset)), (columns, rows), borderMode=cv2.BORDER_REPLICATE)
     view = cv2.resize(turned, (columns // _SHORTENING, rows), interpolation=cv2.INTER_AREA)
-    described = _described(view, parameters, max(1, round(_OBLIQUE_RICHNESS * parameters.keypoints.max_count)))
+    described = _described(view, options, max(1, round(_OBLIQUE_RICHNESS * options.max_count)))
     k = described.keypoints
     xy = ((k.xy + 0.5) * (_SHORTENING, 1) - 0.5 + offset) @ R
     inside = np.flatnonzero(((xy >= 0) & (xy <= (width - 1, height - 1))).all(axis=1))
@@ -163,25 +200,25 @@ class _Scales:
 _EVERY_SCALE = _Scales(_LARGEST_VIEW, levels=32, even=True)
 
 
-def _described(grey: Image, parameters: Parameters, count: int, scales: _Scales = _EVERY_SCALE) -> Descriptions:
-    p = parameters
+def _described(grey: Image, options: DescriptionOptions, count: int, scales: _Scales = _EVERY_SCALE) -> Descriptions:
+    o = options
     pyramid = build_pyramid(
-        preprocessed(grey, for_targets(p.preprocess), p.pyramid.kernel),
+        preprocessed(grey, o.preprocess, o.kernel),
         PyramidKind.FINE,
         levels=scales.levels,
-        scales_per_octave=p.pyramid.scales_per_octave,
-        max_side_px=scales.largest * p.pyramid.max_side_px,
+        scales_per_octave=o.scales_per_octave,
+        max_side_px=scales.largest * o.max_side_px,
         min_side_px=_SMALLEST_SIDE_PX,
-        kernel=p.pyramid.kernel,
+        kernel=o.kernel,
     )
-    if p.pyramid.kind == PyramidKind.LAPLACIAN:
+    if o.band_passed:
         pyramid = band_passed(pyramid)
-    pyramid = with_edges(pyramid, p.preprocess)
-    keypoints = detect(pyramid, p.keypoints.detector, count, even_scales=scales.even, fast_arc=p.keypoints.fast_arc)
-    return describe(pyramid, keypoints, p.descriptor.kind)
+    pyramid = with_edges(pyramid, o.preprocess)
+    keypoints = detect(pyramid, o.detector, count, even_scales=scales.even, fast_arc=o.fast_arc)
+    return describe(pyramid, keypoints, o.descriptor)
 
 
-def _gathered(described: Descriptions, parameters: Parameters) -> TargetFeatures:
-    metric = metric_for(parameters.descriptor.kind, parameters.matching.metric)
+def _gathered(described: Descriptions, options: DescriptionOptions) -> TargetFeatures:
     described = Descriptions(as_told(described.keypoints), described.descriptors)
-    return TargetFeatures(described, prepare_gallery(described.descriptors, metric, described.keypoints.xy))
+    gallery = prepare_gallery(described.descriptors, options.metric, described.keypoints.xy)
+    return TargetFeatures(described, gallery)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,10 +14,13 @@ from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.parameter_checks import why_not
 from imgu_ros.params import Parameters
 from imgu_ros.perception.develop import grey_of
+from imgu_ros.perception.features import thoroughly
+from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.target_features import (
     FeaturesOnDemand,
     TargetFeatures,
     close_features,
+    description_options,
     target_features,
     thorough_features,
 )
@@ -48,6 +52,12 @@ class TargetImage:
     width_m: float
     is_linear: bool = False
 
+    def shows_the_same(self, other: TargetImage) -> bool:
+        """Return whether both are the same picture, of whatever width."""
+        if self.pixels is other.pixels:
+            return self.is_linear == other.is_linear
+        return self.is_linear == other.is_linear and bool(np.array_equal(self.pixels, other.pixels))
+
 
 class AlignmentLevel:
     """A target at one scale, for alignment by patches; of a known target few octaves are ever seen.
@@ -66,7 +76,7 @@ class AlignmentLevel:
         self.level = level
         self._count = count
         self._corners: Points | None = None
-        self._patches: dict[int, PatchBank] = {}
+        self._patches: tuple[int, PatchBank] | None = None
 
     @property
     def corners(self) -> Points:
@@ -76,36 +86,62 @@ class AlignmentLevel:
         return self._corners
 
     def patches(self, window_px: int) -> PatchBank:
-        """Return the patches about the corners, in the level's px; made once."""
-        if window_px not in self._patches:
-            self._patches[window_px] = PatchBank(self.level.image, self.level.from_full(self.corners), window_px)
-        return self._patches[window_px]
+        """Return the patches about the corners, in the level's px; those of the last size are kept."""
+        kept = self._patches
+        if kept is None or kept[0] != window_px:
+            kept = (window_px, PatchBank(self.level.image, self.level.from_full(self.corners), window_px))
+            self._patches = kept
+        return kept[1]
 
 
-class AlignmentPictures:
-    """A target's picture at every octave, as frames show it; made when first asked for.
+class AlignmentPyramids:
+    """A target's picture at every octave, with values that go with the light, or those of sRGB; made when asked for.
 
     Parameters
     ----------
     image : the picture
-    parameters : all parameters
+    grey_weights : of red, green and blue; not used for a grey picture
+    kernel : of the pyramid
     """
 
-    def __init__(self, image: TargetImage, parameters: Parameters) -> None:
+    def __init__(self, image: TargetImage, grey_weights: tuple[float, ...], kernel: str) -> None:
         self._image = image
-        self._parameters = parameters
+        self._grey_weights = grey_weights
+        self._kernel = kernel
+        self._made: dict[bool, tuple[Level, ...]] = {}
+
+    def levels(self, linear: bool) -> tuple[Level, ...]:
+        """Return the octaves, from fine to coarse."""
+        if linear not in self._made:
+            pixels = self._image.pixels
+            if linear != self._image.is_linear:
+                pixels = linear_from_srgb(pixels) if linear else srgb_from_linear(pixels)
+            grey = _grey(pixels, self._grey_weights)
+            self._made[linear] = build_pyramid(
+                grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=self._kernel
+            ).levels
+        return self._made[linear]
+
+
+class AlignmentPictures:
+    """A target's picture at every octave, as frames show it, with its points worth following; made when asked for.
+
+    Parameters
+    ----------
+    pyramids : the picture
+    max_points : patches that are used at once
+    """
+
+    def __init__(self, pyramids: AlignmentPyramids, max_points: int) -> None:
+        self._pyramids = pyramids
+        self._max_points = max_points
         self._made: dict[bool, tuple[AlignmentLevel, ...]] = {}
 
     def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
         """Return the octaves, from fine to coarse, with values that go with the light, or those of sRGB."""
         if linear not in self._made:
-            p, pixels = self._parameters, self._image.pixels
-            if linear != self._image.is_linear:
-                pixels = linear_from_srgb(pixels) if linear else srgb_from_linear(pixels)
-            made = build_pyramid(
-                _grey(pixels, p), PyramidKind.COARSE, levels=8, min_side_px=24, kernel=p.pyramid.kernel
-            )
-            self._made[linear] = tuple(AlignmentLevel(level, p.refinement.max_points) for level in made.levels)
+            levels = self._pyramids.levels(linear)
+            self._made[linear] = tuple(AlignmentLevel(level, self._max_points) for level in levels)
         return self._made[linear]
 
 
@@ -116,19 +152,26 @@ class Target:
     Attributes
     ----------
     name, width_m : as in `TargetImage`
+    image : what it was prepared from
     grey : (H, W) uint8
-    features : keypoints and descriptors at every scale
+    front : keypoints and descriptors at every scale
     close, thorough : those for the search of a target that is near, and for a thorough search
     pictures : for alignment
     """
 
     name: str
     width_m: float
+    image: TargetImage
     grey: Image
-    features: TargetFeatures
+    front: FeaturesOnDemand
     close: FeaturesOnDemand
     thorough: FeaturesOnDemand
     pictures: AlignmentPictures
+
+    @property
+    def features(self) -> TargetFeatures:
+        """Keypoints and descriptors at every scale, of a first look."""
+        return self.front.features()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -165,8 +208,16 @@ class Target:
         return template_xy @ M[:2, :2].T + M[:2, 2]
 
 
-def prepare_targets(images: Sequence[TargetImage], parameters: Parameters) -> tuple[Target, ...]:
+def prepare_targets(
+    images: Sequence[TargetImage], parameters: Parameters, parts: Parts | None = None
+) -> tuple[Target, ...]:
     """Describe every target at every scale.
+
+    Parameters
+    ----------
+    images : the targets
+    parameters : all parameters, the frame's
+    parts : takes what is made; what was made before of the same image and equal values is used again
 
     Raises
     ------
@@ -175,37 +226,55 @@ def prepare_targets(images: Sequence[TargetImage], parameters: Parameters) -> tu
     ShapeError
         If a picture is not (H, W) or (H, W, 3) uint8, or has nothing that a keypoint could be found on.
     """
+    targets = known_targets(images, parameters, parts)
+    for target in targets:
+        count, fewest = len(target.features.described.keypoints), parameters.homography.min_inliers
+        if count < fewest:
+            raise ShapeError(
+                f"target {target.name}: {count} keypoints; need at least {fewest}: a picture with texture, and not too "
+                "small"
+            )
+    return targets
+
+
+def known_targets(
+    images: Sequence[TargetImage], parameters: Parameters, parts: Parts | None = None
+) -> tuple[Target, ...]:
+    """Return targets of which everything is made when it is first asked for; see `prepare_targets`."""
     reason = why_not(parameters)
     if reason:
         raise ParameterError(reason)
-    return tuple(_prepared(image, parameters) for image in images)
+    parts = Parts() if parts is None else parts
+    return tuple(_known(image, parameters, parts) for image in images)
 
 
-def _prepared(image: TargetImage, parameters: Parameters) -> Target:
-    pixels = image.pixels
+def _known(image: TargetImage, parameters: Parameters, parts: Parts) -> Target:
+    pixels, p = image.pixels, parameters
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ShapeError(f"target {image.name}: shape {pixels.shape} {pixels.dtype}; need (H, W) or (H, W, 3) uint8")
-    grey = _grey(pixels, parameters)
-    features = target_features(grey, parameters)
-    count = len(features.described.keypoints)
-    if count < parameters.homography.min_inliers:
-        raise ShapeError(
-            f"target {image.name}: {count} keypoints; need at least {parameters.homography.min_inliers}: a picture "
-            "with texture, and not too small"
-        )
-    return Target(
+    weights = p.raw.grey_weights if pixels.ndim == 3 else ()
+    grey = parts.make(_grey, pixels, weights)
+    first, thorough = description_options(p), description_options(thoroughly(p))
+    pyramids = parts.make(AlignmentPyramids, image, weights, p.pyramid.kernel)
+    return parts.make(
+        Target,
         image.name,
         image.width_m,
+        image,
         grey,
-        features,
-        FeaturesOnDemand(partial(close_features, grey, parameters)),
-        FeaturesOnDemand(partial(thorough_features, grey, parameters)),
-        AlignmentPictures(image, parameters),
+        parts.make(_on_demand, target_features, grey, first),
+        parts.make(_on_demand, close_features, grey, first),
+        parts.make(_on_demand, thorough_features, grey, thorough),
+        parts.make(AlignmentPictures, pyramids, p.refinement.max_points),
     )
 
 
-def _grey(pixels: Image, parameters: Parameters) -> Image:
-    return np.ascontiguousarray(pixels) if pixels.ndim == 2 else grey_of(pixels, parameters.raw.grey_weights)
+def _on_demand(make: Callable[..., TargetFeatures], *arguments: Any) -> FeaturesOnDemand:
+    return FeaturesOnDemand(partial(make, *arguments))
+
+
+def _grey(pixels: Image, weights: tuple[float, ...]) -> Image:
+    return np.ascontiguousarray(pixels) if pixels.ndim == 2 else grey_of(pixels, weights)
 
 
 @cache

@@ -71,6 +71,11 @@ class MapTie:
         ]
 
     @property
+    def frames(self) -> tuple[str, str]:
+        """Names of the map and of the root, as given."""
+        return self._map, self._root
+
+    @property
     def problem(self) -> str:
         """Why the last pose in the map did not become map -> root; empty when it did."""
         return self._problem

@@ -72,7 +72,7 @@ class Outputs:
     ----------
     node : creates the publishers
     target_names : in the order of `targets.images`
-    parameters : `pyramid.levels`, `publish_tf`, `compressed`, `frames`, `tf`, `path` and `targets` are used
+    parameters : all parameters
     choice : which topics; None: all of the node `perception`
 
     Raises
@@ -87,6 +87,8 @@ class Outputs:
         self._node = node
         self._choice = choice
         self._publishers = Publishers(node)
+        self._paths: dict[str, PathHistory] = {}
+        self._map_path: PathHistory | None = None
         self._tie: MapTie | None = None
         self._problem = ""
         try:
@@ -96,8 +98,8 @@ class Outputs:
             raise
 
     def serves(self, target_names: Sequence[str], parameters: Parameters) -> bool:
-        """Return whether these outputs are the ones for other parameters too."""
-        return self._served == _served(target_names, parameters)
+        """Return whether these outputs are adapted to these targets and parameters."""
+        return (tuple(target_names), parameters) == (self._names, self._parameters)
 
     def adapt(self, target_names: Sequence[str], parameters: Parameters) -> None:
         """Change to other targets or parameters; topics that stay keep their subscribers, paths their poses.
@@ -108,25 +110,19 @@ class Outputs:
             As at construction; then nothing changes.
         """
         map_from_target = rigid_transforms(parameters.targets.poses, "targets.poses")
-        before = getattr(self, "_parameters", None)
         self._publishers.adapt(self._topics(target_names, parameters))
-        self._served = _served(target_names, parameters)
-        self._parameters = parameters
+        self._names, self._parameters = tuple(target_names), parameters
         self._map_from_target = map_from_target
-        frames, tf = parameters.frames, parameters.tf
-        if before is None or (frames, parameters.path) != (before.frames, before.path):
-            self._paths: dict[str, PathHistory] = {}
-            self._map_path = PathHistory(make_message, frames.map, parameters.path.max_length)
-        for name in target_names:
-            if name not in self._paths:
-                frame = frames.target_prefix + name
-                self._paths[name] = PathHistory(make_message, frame, parameters.path.max_length)
-        wants_tie = bool(map_from_target) and self._always
-        if self._tie is not None and (not wants_tie or before is None or (frames, tf) != (before.frames, before.tf)):
+        frames, length = parameters.frames, parameters.path.max_length
+        self._map_path = self._path(self._map_path, frames.map, length)
+        paths = {name: self._path(self._paths.get(name), frames.target_prefix + name, length) for name in target_names}
+        self._paths |= paths
+        wanted = (frames.map, parameters.tf.root_frame) if map_from_target and self._always else None
+        if self._tie is not None and self._tie.frames != wanted:
             self._tie.destroy()
             self._tie = None
-        if self._tie is None and wants_tie:
-            self._tie = MapTie(self._node, frames.map, tf.root_frame)
+        if self._tie is None and wanted is not None:
+            self._tie = MapTie(self._node, *wanted)
 
     def wanted(self) -> bool:
         """Return whether anybody listens to any output; `publish_tf` counts as a listener."""
@@ -179,7 +175,8 @@ class Outputs:
     def reset(self) -> None:
         """Forget where the camera has been: paths begin anew, and the robot's transforms are awaited again."""
         for path in (self._map_path, *self._paths.values()):
-            path.clear()
+            if path is not None:
+                path.clear()
         if self._tie is not None:
             self._tie.forget()
 
@@ -194,6 +191,14 @@ class Outputs:
             self._tie.destroy()
             self._tie = None
         self._publishers.destroy()
+
+    @staticmethod
+    def _path(before: PathHistory | None, frame: str, max_length: int) -> PathHistory:
+        """Return the path that goes on, or a new one in another frame."""
+        if before is None or before.target_frame != frame:
+            return PathHistory(make_message, frame, max_length)
+        before.resize(max_length)
+        return before
 
     @property
     def _always(self) -> bool:
@@ -282,7 +287,7 @@ class Outputs:
     def _publish_in_map(self, result: Result, map_from_camera: Pose) -> None:
         name, camera_from_map = self._parameters.frames.map, map_from_camera.inverse()
         self.offer("map/odom", partial(odometry_message, make_message, result_header(result), name, camera_from_map))
-        if self.listened("map/path"):
+        if self._map_path is not None and self.listened("map/path"):
             self._publishers.send("map/path", self._map_path.add(result.frame.stamp_ns, camera_from_map))
 
     def _publish_tf(self, result: Result, map_from_camera: Pose | None) -> None:
@@ -304,12 +309,3 @@ class Outputs:
 
     def _say(self, line: str) -> None:
         self._node.get_logger().warning(line, throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=_STEADY)
-
-
-def _served(names: Sequence[str], parameters: Parameters) -> tuple[object, ...]:
-    """Everything that the outputs depend on."""
-    p, targets = parameters, parameters.targets
-    return (
-        tuple(names), p.pyramid.levels, p.publish_tf, p.compressed, p.frames, p.tf, p.path, targets.poses,
-        targets.widths_m,
-    )  # fmt: skip

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
+from imgu_ros.perception.building import Built
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.ros.cause import Cause
@@ -15,7 +16,6 @@ from imgu_ros.ros.input import ImageInput, Job
 from imgu_ros.ros.managed_node import ManagedNode, run_managed
 from imgu_ros.ros.offers import why_not_served
 from imgu_ros.ros.outputs import Outputs
-from imgu_ros.ros.rebuilding import Built
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.worker import Handlers, Worker
 

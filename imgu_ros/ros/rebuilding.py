@@ -4,52 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from imgu_ros.errors import ImguError
-from imgu_ros.params import HomographyParameters, Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.params import Parameters
+from imgu_ros.perception.building import Built, build
 from imgu_ros.threads import quick_thread_switches
 
 #: The longest rest between two chains, s.
 _LONGEST_REST_S = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Built:
-    """A chain, and what it was made of."""
-
-    chain: Chain
-    targets: tuple[Target, ...]
-    images: tuple[TargetImage, ...]
-    parameters: Parameters
-
-
-def build(images: Sequence[TargetImage], parameters: Parameters, before: Built | None = None) -> Built:
-    """Make a chain that is ready for its first frame.
-
-    Parameters
-    ----------
-    images : what is looked for
-    parameters : all parameters
-    before : its targets are used again where the parameters make no difference to them
-
-    Raises
-    ------
-    ImguError
-        If an image cannot serve as a target.
-    """
-    images = tuple(images)
-    if before is not None and before.images == images and _of_targets(before.parameters) == _of_targets(parameters):
-        targets = before.targets
-    else:
-        targets = prepare_targets(images, parameters)
-    chain = Chain(parameters, targets)
-    # Now, before frames come: later the first thorough search would hold them up.
-    chain.prepare()
-    return Built(chain, targets, images, parameters)
 
 
 class Rebuilder:
@@ -136,21 +100,3 @@ class _Order:
 
     before: Built
     parameters: Parameters
-
-
-def _of_targets(parameters: Parameters) -> Parameters:
-    """Return the parameters with those at their defaults that make no difference to targets."""
-    none = Parameters()
-    return replace(
-        parameters,
-        seed=none.seed,
-        targets=none.targets,
-        camera=none.camera,
-        frames=none.frames,
-        tf=none.tf,
-        path=none.path,
-        demosaic=none.demosaic,
-        homography=HomographyParameters(min_inliers=parameters.homography.min_inliers),
-        tracking=none.tracking,
-        pose=none.pose,
-    )

@@ -12,7 +12,8 @@ from rclpy.node import Node
 from imgu_ros.codec.header import Header
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.perception.parts import Parts
+from imgu_ros.perception.targets import Target, TargetImage, known_targets, prepare_targets
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.qos import output_qos
 from imgu_ros.ros.stage_input import Feed, StageJob, StageTopics
@@ -79,16 +80,30 @@ class Stage(ABC):
 
 
 class TargetStage(Stage):
-    """A stage that knows the targets."""
+    """A stage that knows the targets.
+
+    Attributes
+    ----------
+    needs_features : whether it has to know what they look like to a detector
+    targets : the known ones
+    """
 
     needs_targets = True
+    needs_features: ClassVar[bool] = False
     targets: tuple[Target, ...] = ()
+    _parts: Parts | None = None
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
-        """See `Stage.use`."""
-        targets = prepare_targets(images, parameters)
+        """See `Stage.use`; what does not depend on the parameters that have changed is used again."""
+        parts = Parts(self._parts)
+        self.targets = (prepare_targets if self.needs_features else known_targets)(images, parameters, parts)
+        self._prepare(parameters, parts)
+        parts.settle()
+        self._parts = parts
         super().use(parameters, images)
-        self.targets = targets
+
+    def _prepare(self, parameters: Parameters, parts: Parts) -> None:
+        """Make what the stage needs of its targets."""
 
 
 def picture_feed(node: Node, name: str) -> Feed:

@@ -14,13 +14,14 @@ from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import Header, decode_header
 from imgu_ros.errors import EncodingError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.building import Built, build
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status, TargetResult
 from imgu_ros.perception.targets import Target, TargetImage
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.meters import LatencyMeter, RateMeter
 from imgu_ros.ros.newest import NewestSlot
-from imgu_ros.ros.rebuilding import Built, Rebuilder, build
+from imgu_ros.ros.rebuilding import Rebuilder
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 #: The worker waits for no longer than this for somebody who wants to come between two frames.
@@ -166,9 +167,11 @@ class Worker:
         return build(images, self._parameters(), self._built)
 
     def use(self, built: Built) -> None:
-        """Go on with this chain from the next frame on, and forget all tracks."""
+        """Go on with this chain from the next frame on; tracks of targets that stay the same go on."""
         with self._lock:
             self._rebuilder.forget()
+            if self._built is not None:
+                built.chain.continue_from(self._built.chain)
             self._built = built
             self._last = None
             self.sought.clear()
@@ -265,9 +268,10 @@ class Worker:
         self.latency.add(now - job.received_s)
 
     def _take_over(self) -> None:
-        """Go on with the chain that was made for changed parameters, if one was."""
+        """Go on with the chain that was made for changed parameters, if one was, from where the old one stands."""
         built = self._rebuilder.take()
         if built is not None and self._built is not None and built.images is self._built.images:
+            built.chain.continue_from(self._built.chain)
             self._built = built
 
     def _rejected_result(self, header: Header, reason: str) -> Result:

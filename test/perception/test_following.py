@@ -9,12 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import EstimationError, NoConsensus
-from imgu_ros.params import DemosaicParameters, Parameters, RawParameters
+from imgu_ros.params import DemosaicParameters, RawParameters
 from imgu_ros.perception import patch_view
 from imgu_ros.perception.develop import develop
 from imgu_ros.perception.following import Effort, follow_patches
 from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.targets import AlignmentPictures, Target, TargetImage
+from imgu_ros.perception.targets import AlignmentPictures, AlignmentPyramids, Target, TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.types import Image
@@ -128,6 +128,8 @@ def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Targe
         scaled = np.array([[scale, 0, (1 - scale) * x], [0, scale, (1 - scale) * y], [0, 0, 1]]) @ H
         with pytest.raises(EstimationError):
             follow_patches(pictures, 0, target, scaled, None, EFFORT)
-    blank = AlignmentPictures(TargetImage("blank", np.full((300, 400), 90, np.uint8), 0.5), Parameters())
+    blank = AlignmentPictures(
+        AlignmentPyramids(TargetImage("blank", np.full((300, 400), 90, np.uint8), 0.5), (), "sampled"), max_points=150
+    )
     with pytest.raises(NoConsensus, match="the target has none"):
         follow_patches(pictures, 0, replace(target, pictures=blank), H, None, EFFORT)

@@ -29,7 +29,7 @@ def test_off_is_free() -> None:
     pyramid = Pyramid((Level(grey, np.ones(2)),))
     assert preprocessed(grey, OFF) is grey
     assert with_edges(pyramid, OFF) is pyramid
-    assert for_targets(OFF) is OFF
+    assert for_targets(OFF) == OFF
 
 
 def test_steps_by_hand_and_in_order() -> None:
@@ -65,7 +65,7 @@ def test_edges_are_slopes_of_every_level() -> None:
 
 def test_a_fixed_threshold_is_the_frames() -> None:
     fixed = replace(OFF, threshold="fixed", threshold_value=50.0, gamma=0.7)
-    assert for_targets(fixed) == replace(fixed, threshold="otsu")
+    assert for_targets(fixed) == for_targets(replace(fixed, threshold="otsu"))
 
 
 #: Each one word (or number) away from the default; a threshold for the dim frames of the simulation.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Iterator
@@ -16,8 +17,9 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
 from imgu_ros.codec.geometry import decode_tf_message, tf_message
-from imgu_ros.errors import ImguError
+from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import declaration, declarations
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.frame_tree import StampedTransform
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
@@ -343,3 +345,62 @@ def test_outputs_adapt_and_keep_their_listeners(tf2_msgs: None, settled: None) -
             ),
         )
     assert node.publishers == before
+
+
+#: What the outputs make of a parameter: publishers, paths, and the tie of the robot's frames to the map.
+DEPENDS: dict[str, set[str]] = {
+    "pyramid.levels": {"topics"},
+    "frames.map": {"map path", "tie"},
+    "frames.target_prefix": {"path"},
+    "tf.root_frame": {"tie"},
+}
+
+
+@pytest.mark.parametrize(
+    "name", [known.name for known in declarations() if not known.read_only and not known.name.startswith("targets.")]
+)
+def test_a_change_makes_anew_what_depends_on_it(name: str, tf2_msgs: None, settled: None) -> None:
+    known = declaration(name)
+    if known.choices:
+        values = [choice for choice in known.choices if choice != known.default]
+    elif known.type_name == "string":
+        values = ["x"]
+    else:
+        values = {"bool": [not known.default], "integer": [7, 10], "double": [0.75]}.get(known.type_name, [])
+    node = FakeNode("path", "map/path")
+    out = outputs(node)
+    before = out._parameters
+    for value in values:
+        with contextlib.suppress(ParameterError):
+            changed = parameters_from({name: value}, before)
+            break
+    else:
+        # Of a list nothing goes out: any other group stands for it.
+        changed = replace(before, seed=before.seed + 1)
+    out.publish(result(SECOND))
+    publishers, tie = dict(node.publishers), out._tie
+    assert tie is not None
+    assert not out.serves(["a", "b"], changed)
+    out.adapt(["a", "b"], changed)
+    assert out.serves(["a", "b"], changed)
+    out.publish(result(3 * SECOND))
+    anew = set()
+    if node.publishers != publishers:
+        anew.add("topics")
+    for topic, part in (("path", "path"), ("map/path", "map path")):
+        if [len(path.poses) for path in node.publishers[topic].sent] != [1, 2]:
+            anew.add(part)
+    if out._tie is not tie:
+        anew.add("tie")
+    assert anew == DEPENDS.get(name, set())
+
+
+def test_a_path_keeps_its_latest_poses_when_its_length_changes(tf2_msgs: None, settled: None) -> None:
+    node = FakeNode("path")
+    out = outputs(node)
+    for second in range(1, 6):
+        out.publish(result(second * SECOND))
+    out.adapt(["a", "b"], parameters_from({"path.max_length": 3}, out._parameters))
+    out.publish(result(6 * SECOND))
+    stamps = [pose.header.stamp.sec for pose in node.publishers["path"].sent[-1].poses]
+    assert stamps == [4, 5, 6]

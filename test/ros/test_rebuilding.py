@@ -11,9 +11,10 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from imgu_ros.errors import ShapeError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import Parameters
+from imgu_ros.perception.building import Built, build
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.ros import rebuilding
-from imgu_ros.ros.rebuilding import Built, Rebuilder, build
+from imgu_ros.ros.rebuilding import Rebuilder
 from imgu_ros.simulate.texture import procedural_texture
 
 CHEAP = parameters_from({"search.thorough": False, "keypoints.max_count": 100})
@@ -34,10 +35,10 @@ def taken(rebuilder: Rebuilder) -> Built:
 
 def test_targets_are_used_again_where_parameters_make_no_difference_to_them(built):
     later = build(built.images, replace(CHEAP, seed=7), built)
-    assert later.targets is built.targets
+    assert later.targets == built.targets
     assert later.chain is not built.chain
     fewer = build(built.images, parameters_from({"keypoints.max_count": 50}, CHEAP), built)
-    assert fewer.targets is not built.targets
+    assert fewer.targets != built.targets
     assert len(fewer.targets[0].features.described.keypoints) < len(built.targets[0].features.described.keypoints)
 
 

@@ -20,6 +20,7 @@ from imgu_ros.codec.results import FRAME_OUTPUTS, level_message
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import Parameters
+from imgu_ros.perception import target_features
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status
@@ -230,3 +231,24 @@ def test_lost_targets_are_told_too() -> None:
     dark = replace(frames[0], image=replace(frames[0].image, pixels=np.zeros_like(frames[0].image.pixels)))
     told = Six(parameters_from(OFF), images).work(dark)
     assert [target.status for target in told.result.targets] == [Status.LOST]
+
+
+def test_a_stage_describes_a_target_only_where_it_must(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The six stages, and parameters that change: only the matcher needs descriptors, and of the same values once."""
+    described: list[Any] = []
+    describe = target_features.describe
+    monkeypatch.setattr(target_features, "describe", lambda *given: described.append(given) or describe(*given))
+    images = list(default_targets(1, seed=3))
+    parameters = parameters_from(OFF)
+    six = Six(parameters, images)
+    assert len(described) == 1
+    for values in (
+        {"path.max_length": 5}, {"compressed.jpeg_quality": 20}, {"homography.threshold_px": 2.0}, {"frames.map": "m"},
+        {"matching.ratio": 0.7}, {"pose.ambiguity_ratio": 0.9}, {"camera.rectified": True}, {"pyramid.levels": 6},
+    ):  # fmt: skip
+        for stage in six.stages:
+            stage.use(parameters_from(values, parameters), images)
+        assert len(described) == 1, values
+    for stage in six.stages:
+        stage.use(parameters_from({"keypoints.max_count": 300}, parameters), images)
+    assert len(described) == 2

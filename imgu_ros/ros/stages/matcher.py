@@ -11,9 +11,9 @@ from imgu_ros.codec.features import decode_keypoints
 from imgu_ros.codec.header import decode_header
 from imgu_ros.errors import EncodingError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
 from imgu_ros.perception.seeking import Seeker
-from imgu_ros.perception.targets import TargetImage
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stage import TargetStage, cloud_feed, frame_without_image
 from imgu_ros.ros.stage_input import StageJob, StageTopics
@@ -36,16 +36,15 @@ class MatcherStage(TargetStage):
     name = "matcher"
     takes = (_IN,)
     choice = Choice(lambda topic: topic == "matches", {})
+    needs_features = True
     _seeker: Seeker | None = None
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         return StageTopics((cloud_feed(node, _IN),))
 
-    def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
-        """See `Stage.use`."""
-        super().use(parameters, images)
-        self._seeker = Seeker(self.targets, parameters)
+    def _prepare(self, parameters: Parameters, parts: Parts) -> None:
+        self._seeker = Seeker(self.targets, parameters, parts)
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""

@@ -1,0 +1,101 @@
+"""The worker: parameters that change between frames cost no track that does not depend on them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from itertools import islice
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ros extra")
+
+from imgu_ros.codec.camera_info import camera_info_message
+from imgu_ros.codec.header import Header
+from imgu_ros.codec.image import image_message
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.perception import target_features
+from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.result import Result, Status
+from imgu_ros.perception.targets import TargetImage
+from imgu_ros.ros.input import Job
+from imgu_ros.ros.messages import make_message
+from imgu_ros.ros.newest import NewestSlot
+from imgu_ros.ros.worker import Handlers, Worker
+from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
+
+
+class Running:
+    """A worker, and the results of the frames that it is given."""
+
+    def __init__(self, images: tuple[TargetImage, ...]) -> None:
+        self.parameters = parameters_from({"pyramid.max_side_px": 400, "keypoints.max_count": 300})
+        self.results: list[Result] = []
+        self.failures: list[str] = []
+        self._came = threading.Event()
+        self._slot: NewestSlot[Job] = NewestSlot()
+        handlers = Handlers(self._on_result, lambda _: None, self.failures.append, lambda: False)
+        self.worker = Worker(self._slot, lambda: self.parameters, handlers)
+        self.worker.use(self.worker.build(images))
+
+    def work(self, frame: Frame) -> Result:
+        self._came.clear()
+        header = Header(frame.stamp_ns, frame.frame_id)
+        image = image_message(make_message, header, frame.image.pixels, "bayer_rggb8")
+        assert frame.camera is not None
+        self._slot.put(Job(image, camera_info_message(make_message, header, frame.camera), time.monotonic()))
+        assert self._came.wait(20), self.failures
+        return self.results[-1]
+
+    def change(self, values: dict[str, object]) -> None:
+        """Set parameters, and wait until the chain for them is made."""
+        self.parameters = parameters_from(values, self.parameters)
+        end = time.monotonic() + 20
+        while self.worker.parameters is not self.parameters:
+            assert time.monotonic() < end
+            self.worker.follow()
+            with self.worker.between_frames():
+                self.worker._take_over()
+            time.sleep(0.005)
+
+    def _on_result(self, result: Result, _: Job) -> None:
+        self.results.append(result)
+        self._came.set()
+
+
+@pytest.fixture
+def described(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """One entry for every view of a target that was described."""
+    made: list[Any] = []
+    describe = target_features.describe
+    monkeypatch.setattr(target_features, "describe", lambda *given: made.append(given) or describe(*given))
+    return made
+
+
+def test_a_running_worker_keeps_its_tracks(described: list[Any]) -> None:
+    images = default_targets(1, seed=3, width_m=0.5)
+    simulation = Simulation(width=480, height=360, frames=120, seed=3)
+    frames = [simulated.frame for simulated in islice(simulate_sequence(simulation, images), 8)]
+    running = Running(images)
+    try:
+        assert running.work(frames[0]).targets[0].status is Status.DETECTED
+        assert running.work(frames[1]).targets[0].status is Status.TRACKED
+        before = len(described)
+        for frame, values in zip(
+            frames[2:6],
+            ({"path.max_length": 7}, {"compressed.jpeg_quality": 50}, {"seed": 4, "frames.camera": "eye"},
+             {"homography.threshold_px": 2.0, "demosaic.method": "malvar"}),
+            strict=True,
+        ):  # fmt: skip
+            running.change(values)
+            assert running.work(frame).targets[0].status is Status.TRACKED, values
+        assert len(described) == before
+        running.change({"keypoints.max_count": 200})
+        assert len(described) == before + 2
+        assert running.work(frames[6]).targets[0].status is Status.TRACKED
+        running.worker.reset()
+        assert running.work(frames[7]).targets[0].status is Status.DETECTED
+        assert not running.failures
+    finally:
+        assert running.worker.close(5.0)
