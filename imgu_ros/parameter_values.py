@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, cast
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.nearest_name import nearest_name
 from imgu_ros.parameter_checks import check_together
 from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
 
@@ -95,9 +95,9 @@ def _checked_scalar(name: str, value: object, type_name: str, known: Declaration
             raise ParameterError(
                 f"{name}: {value!r} is reserved and not available in this version; need {_listed(known.choices)}"
             )
-        near = difflib.get_close_matches(str(value), known.choices, n=1)
+        near = nearest_name(value, known.choices)
         raise ParameterError(
-            f"{name}: {_shown(value)}; need {_listed(known.choices)}" + (f" (nearest: {near[0]})" if near else "")
+            f"{name}: {_shown(value)}; need {_listed(known.choices)}" + (f" (nearest: {near})" if near else "")
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
         low = -math.inf if known.minimum is None else known.minimum

@@ -8,13 +8,13 @@ groups' names by dots (`homography.threshold_px`). `parameter_values` makes them
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from typing import Any, cast, get_args, get_type_hints
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.nearest_name import nearest_name
 
 #: What a parameter can hold: the types that ROS 2 parameters have in common with Python.
 ParameterValue = bool | int | float | str | tuple[str, ...] | tuple[float, ...] | tuple[int, ...]
@@ -405,8 +405,9 @@ def declaration(name: str) -> Declaration:
     for known in declarations():
         if known.name == name:
             return known
-    nearest = difflib.get_close_matches(str(name), [d.name for d in declarations()], n=1, cutoff=0.0)
-    raise ParameterError(f"{name}: unknown parameter; nearest known: {nearest[0]}")
+    near = nearest_name(name, [known.name for known in declarations()])
+    hint = f"nearest known: {near}" if near else "`imgu params` lists those that there are"
+    raise ParameterError(f"{name}: unknown parameter; {hint}")
 
 
 def _declarations(group: type, prefix: str) -> Iterator[Declaration]:

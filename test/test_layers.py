@@ -38,21 +38,23 @@ NUMERIC = {"numpy", "scipy", "cv2"}
 #: What the lower layers may import of the package itself; whoever is not listed may import all but ros/ and cli/.
 LAYERS = {
     "errors": set[str](),
+    "nearest_name": set[str](),
     "types": {"errors"},
-    "params": {"errors", "types"},
+    "params": {"errors", "types", "nearest_name"},
     "parameter_checks": {"errors", "types", "params"},
-    "parameter_values": {"errors", "types", "params", "parameter_checks"},
+    "parameter_values": {"errors", "types", "params", "parameter_checks", "nearest_name"},
     "vision": {"errors", "types", "vision"},
     "perception": {"errors", "types", "params", "parameter_checks", "vision", "perception"},
-    "codec": {"errors", "types", "params", "vision", "perception", "codec"},
+    "codec": {"errors", "types", "params", "nearest_name", "vision", "perception", "codec"},
     "files": {"errors", "types", "params", "parameter_values", "vision", "perception", "codec", "files"},
-    "simulate": {"errors", "types", "params", "vision", "perception", "files", "simulate"},
+    "simulate": {"errors", "types", "params", "nearest_name", "vision", "perception", "files", "simulate"},
     "report": {"errors", "types", "params", "vision", "perception", "files", "simulate", "report"},
 }
 
 #: What a layer may import from outside the standard library, where that is limited.
 THIRD_PARTY = {
     "errors": set[str](),
+    "nearest_name": set[str](),
     "types": {"numpy"},
     "params": set[str](),
     "parameter_checks": set[str](),

@@ -69,9 +69,12 @@ class FrameSource:
         info_name = None if self.camera_info_topic is None else self.camera_info_topic.name
         names = [self.image_topic.name] if info_name is None else [self.image_topic.name, info_name]
         pairing: Pairing[BagMessage, Any] = Pairing(expects_camera_info=info_name is not None)
-        is_calibrated = True
+        is_calibrated, has_remark = True, False
         for pair in self._pairs(pairing, names):
             recorded = _recorded(pair, rectified=self._rectified)
+            if recorded.frame.image.remark and not has_remark:
+                has_remark = True
+                self.warnings.append(f"{self.image_topic.name}: {recorded.frame.image.remark}")
             if is_calibrated and not recorded.reason and recorded.frame.camera is None:
                 is_calibrated = False
                 self.warnings.append(f"uncalibrated: {self._why_uncalibrated(pair)}; homographies, but no poses")

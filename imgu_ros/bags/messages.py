@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -13,6 +12,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.errors import BagError, ShapeError
+from imgu_ros.nearest_name import nearest_name
 from imgu_ros.types import Image
 
 if TYPE_CHECKING:
@@ -63,8 +63,9 @@ def message_layout(type_name: str) -> dict[str, Any]:
     """Return the fields of a type, name -> rosbags' description."""
     known = typestore().fielddefs
     if type_name not in known:
-        near = difflib.get_close_matches(type_name, known, n=1, cutoff=0.0)
-        raise BagError(f"{type_name}: unknown message type; nearest known: {near[0]}")
+        near = nearest_name(type_name, known)
+        hint = f"nearest known: {near}" if near else "need one of ROS 2 Jazzy"
+        raise BagError(f"{type_name}: unknown message type; {hint}")
     return dict(known[type_name][1])
 
 

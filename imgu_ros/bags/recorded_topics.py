@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.nearest_name import nearest_name
 
 #: Always recorded.
 FRAME_TOPICS = ("homography", "status")
@@ -28,8 +28,8 @@ def checked_record(record: Sequence[str]) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(name.removeprefix("/") for name in record))
     for name in names:
         if name not in OPTIONAL_TOPICS and pyramid_level(name) is None and name not in FRAME_TOPICS + TARGET_TOPICS:
-            near = difflib.get_close_matches(name, OPTIONAL_TOPICS, n=1)
-            hint = f" (nearest: {near[0]})" if near else ""
+            near = nearest_name(name, OPTIONAL_TOPICS)
+            hint = f" (nearest: {near})" if near else ""
             raise ParameterError(
                 f"--record: {name!r} is no output{hint}; need one of {', '.join(OPTIONAL_TOPICS)}, pyramid/level_<k>"
             )

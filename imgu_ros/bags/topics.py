@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 
 from imgu_ros.bags.reading import Topic
 from imgu_ros.errors import BagError, ParameterError
+from imgu_ros.nearest_name import nearest_name
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
@@ -72,9 +72,11 @@ def _named(topics: Sequence[Topic], name: str, parameter: str) -> Topic:
     for topic in topics:
         if _same(topic.name, name):
             return topic
-    near = difflib.get_close_matches(name, [topic.name for topic in topics], n=1, cutoff=0.0)
-    hint = f"; nearest: {near[0]} (topics: {_listed(topics)})" if near else "; the bag has no topics"
-    raise ParameterError(f"{parameter}: {name} is not in the bag{hint}")
+    if not topics:
+        raise ParameterError(f"{parameter}: {name} is not in the bag; the bag has no topics")
+    near = nearest_name(name, [topic.name for topic in topics])
+    nearest = f"nearest: {near}; " if near else ""
+    raise ParameterError(f"{parameter}: {name} is not in the bag; {nearest}topics: {_listed(topics)}")
 
 
 def _same(one: str, other: str) -> bool:

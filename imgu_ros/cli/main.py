@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import difflib
 import errno
 import importlib
 import os
@@ -13,6 +12,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from imgu_ros.errors import ImguError
+from imgu_ros.nearest_name import nearest_name
 
 #: Every command and the module that does it. A module has `HELP`, `add_arguments(parser)` and `run(arguments)`,
 #: and imports nothing heavy before `run`.
@@ -133,8 +133,8 @@ def _top_level(arguments: list[str]) -> int:
 
 
 def _unknown_command(name: str) -> int:
-    near = difflib.get_close_matches(name, COMMANDS, n=1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
+    near = nearest_name(name, COMMANDS)
+    hint = f" (did you mean {near}?)" if near else ""
     print(f"imgu: error: {name!r} is no command{hint}; need one of {', '.join(COMMANDS)}", file=sys.stderr)
     return USAGE
 

@@ -8,11 +8,11 @@ without `--ros-args` before them.
 from __future__ import annotations
 
 import argparse
-import difflib
 import importlib
 import sys
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.nearest_name import nearest_name
 
 HELP = "run a live node"
 
@@ -110,5 +110,5 @@ _ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "--log-level"
 
 
 def _unknown(name: str) -> str:
-    near = difflib.get_close_matches(name, NODES, n=1)
-    return f"{name!r} is no node{f' (did you mean {near[0]}?)' if near else ''}; need one of {', '.join(NODES)}"
+    near = nearest_name(name, NODES)
+    return f"{name!r} is no node{f' (did you mean {near}?)' if near else ''}; need one of {', '.join(NODES)}"

@@ -7,12 +7,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from imgu_ros.codec.encodings import Encoding, encoding_named
+from imgu_ros.codec.encodings import Encoding, encoding_named, is_image_encoding
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
 from imgu_ros.codec.image import data_bytes
-from imgu_ros.codec.picture_files import FileKind, check_picture_file
+from imgu_ros.codec.picture_decoding import decode_picture_file
+from imgu_ros.codec.picture_files import FileKind, is_picture_file
 from imgu_ros.errors import EncodingError
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -24,8 +26,9 @@ def decode_compressed_image(message: Any) -> RawImage:
     The data say themselves whether they are JPEG or PNG. The format string says what the picture was made from, as
     compressed_image_transport writes it: "bayer_rggb8; png compressed" is a mosaic, "rgb8; jpeg compressed bgr8" an
     ordinary colour picture, "rgb8; jpeg compressed rgb8" one whose red and blue were swapped before compression;
-    plain "jpeg" or "png" is a grey or colour picture. An orientation in Exif is not applied: the camera's model
-    belongs to the pixels as they were read out.
+    plain "jpeg" or "png", or nothing, is a grey or colour picture. Case does not matter. A JPEG that lacks its end
+    marker alone is read, which is said in the image's `remark`. An orientation in Exif is not applied: the camera's
+    model belongs to the pixels as they were read out.
 
     Raises
     ------
@@ -33,22 +36,19 @@ def decode_compressed_image(message: Any) -> RawImage:
         If the data are neither JPEG nor PNG, cut, damaged, of more than 2**28 pixels, or do not fit the format.
     """
     data = data_bytes(message)
+    text = str(message.format)
+    if not is_picture_file(data):
+        raise EncodingError(f"compressed image: {_why_no_picture(data, text)}")
     try:
-        check_picture_file(data)
+        picture = decode_picture_file(data)
     except EncodingError as error:
         raise EncodingError(f"compressed image: {error}") from None
-    try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        cause = " ".join((error.err or "damaged data").split())
-        raise EncodingError(f"compressed image: {cause}; need a JPEG or PNG that decodes") from None
-    if pixels is None or pixels.size == 0:
-        raise EncodingError(f"compressed image: {len(data)} bytes that do not decode; need a JPEG or PNG that does")
+    pixels = picture.pixels
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
-    layout = _layout(pixels, _parse_format(str(message.format)))
+    layout = _layout(pixels, _parse_format(text))
     pixels.flags.writeable = False
-    return RawImage(pixels, layout)
+    return RawImage(pixels, layout, picture.remark)
 
 
 def compressed_image_message(
@@ -108,6 +108,10 @@ class _Format:
     rgb_inside: bool
 
 
+_NEED = "JPEG (ff d8 ff) or PNG (89 50 4e 47)"
+_VIDEO = ("h264", "h265", "hevc", "avc", "av1", "vp8", "vp9", "theora", "x264", "x265")
+
+
 def _file_kind(name: str) -> FileKind:
     try:
         return FileKind(name)
@@ -115,8 +119,23 @@ def _file_kind(name: str) -> FileKind:
         raise EncodingError(f"file_format: {name!r}; need {' or '.join(FileKind)}") from None
 
 
+def _why_no_picture(data: NDArray[np.uint8], text: str) -> str:
+    """Return what the data are, where their format tells, and what is needed."""
+    folded = text.lower()
+    need = f"need {_NEED}"
+    if "compresseddepth" in folded:
+        return f"format {text[:40]!r} is a depth picture of compressed_depth_image_transport; {need} of the scene"
+    if any(name in folded for name in _VIDEO):
+        return f"format {text[:40]!r} is video, whose frames are no pictures by themselves; {need} for each frame"
+    original = folded.partition(";")[0].strip()
+    if original and is_image_encoding(original) and "compressed" not in folded:
+        return f"format {text[:40]!r} names pixels that are not compressed; {need}, or a sensor_msgs/Image"
+    start = data[:8].tobytes().hex(" ") or "nothing"
+    return f"{len(data)} bytes that begin with {start}; {need}"
+
+
 def _parse_format(text: str) -> _Format:
-    original, separator, rest = text.partition(";")
+    original, separator, rest = text.lower().partition(";")
     return _Format(original.strip() if separator else "", "compressed rgb" in rest)
 
 

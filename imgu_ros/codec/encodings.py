@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import EncodingError
+from imgu_ros.nearest_name import nearest_name
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 
@@ -25,12 +25,15 @@ class Encoding:
     dtype : data type of one channel, native byte order
     channels : channels of a pixel, >= 1
     layout : what the channels mean
+    planar_rows : of YUV in planes, luma first: rows of luma's length that all planes fill, for each row of the
+        picture; 0: not in planes
     """
 
     name: str
     dtype: np.dtype[Any]
     channels: int
     layout: PixelLayout
+    planar_rows: float = 0.0
 
     @property
     def pixel_bytes(self) -> int:
@@ -40,26 +43,30 @@ class Encoding:
 
 @lru_cache(maxsize=256)
 def encoding_named(name: str) -> Encoding:
-    """Return the encoding called `name`.
+    """Return the encoding called `name`, in whatever case.
 
-    The generic ones are `8U 8S 16U 16S 32S 32F 64F` with `C` and any number of channels; without, one channel.
+    The generic ones are `8U 8S 16U 16S 32S 32F 64F` with `C` and any number of channels; without, one channel. Of YUV
+    in planes (`nv12 nv21 nv16 nv61 nv24 nv42 yuv420 i420 yv12 ...`) the luma is read.
 
     Raises
     ------
     EncodingError
-        If the chain cannot read it; the message names the nearest known one.
+        If the chain cannot read it; the message names the nearest known one, when there is one.
     """
-    if name in _NAMED:
-        return _NAMED[name]
-    generic = _GENERIC.fullmatch(name)
+    folded = name.strip().lower()
+    if folded in _NAMED:
+        return _NAMED[folded]
+    generic = _GENERIC.fullmatch(folded.upper())
     if generic:
         channels = int(generic["channels"] or 1)
-        return Encoding(name, np.dtype(_DEPTHS[generic["depth"]]), channels, PixelLayout(ColorModel.BANDS))
+        layout = PixelLayout(ColorModel.BANDS)
+        return Encoding(generic[0], np.dtype(_DEPTHS[generic["depth"]]), channels, layout)
     known = [*_NAMED, *(f"{depth}C{n}" for depth in _DEPTHS for n in (1, 2, 3, 4))]
-    # The name comes from outside: only the start of an endless one is shown, and compared.
+    # The name comes from outside: only the start of an endless one is shown.
     start = name[:40]
-    nearest = difflib.get_close_matches(start, known, n=1, cutoff=0.0)[0]
-    raise EncodingError(f"encoding: {start!r} is unknown; nearest known: {nearest!r}")
+    near = nearest_name(start, known)
+    hint = f"nearest known: {near!r}" if near else "need a name such as mono8, rgb8, bayer_rggb8, yuyv, nv12 or 8UC1"
+    raise EncodingError(f"encoding: {start!r} is unknown; {hint}")
 
 
 def is_image_encoding(name: str) -> bool:
@@ -119,8 +126,17 @@ def _named() -> dict[str, Encoding]:
         ("yuv422", ColorModel.UYVY),
         ("yuyv", ColorModel.YUYV),
         ("yuv422_yuy2", ColorModel.YUYV),
+        ("yuy2", ColorModel.YUYV),
     ):
         add(name, 8, 2, color)
+    # YUV in planes, 4:2:0, 4:2:2 and 4:4:4: the names of sensor_msgs, of V4L2 and of GStreamer.
+    for rows, names in (
+        (1.5, ("nv12", "nv21", "yuv420", "yuv420p", "i420", "iyuv", "yu12", "yv12")),
+        (2.0, ("nv16", "nv61", "yuv422p", "i422")),
+        (3.0, ("nv24", "nv42", "yuv444p", "i444")),
+    ):
+        for name in names:
+            table[name] = Encoding(name, np.dtype(np.uint8), 1, PixelLayout(ColorModel.LUMA), rows)
     return table
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,29 +25,33 @@ def decode_image(message: Any) -> RawImage:
     multi-byte pixels in the other byte order (OpenCV reads such arrays as if they were native, and says nothing), and
     of pixels that do not lie on multiples of their size.
 
+    Where the row length cannot be what `step` says and the data are exactly rows without padding, they are read as
+    such; bytes behind the last row are left. Either is said in the image's `remark`. Of YUV in planes the luma is read.
+
     Returns
     -------
-    (H, W) for one channel, (H, W, C) for more
+    RawImage
+        Pixels (H, W) for one channel, (H, W, C) for more.
 
     Raises
     ------
     EncodingError
-        If the encoding is unknown, or data, size and row length disagree.
+        If the encoding is unknown, or the data are too few for size and row length.
     """
     encoding = encoding_named(str(message.encoding))
     width, height, step = int(message.width), int(message.height), int(message.step)
     data = data_bytes(message)
-    _check_size(encoding, width, height, step, len(data))
+    rows = (_plane_rows if encoding.planar_rows else _rows)(encoding, width, height, step, len(data))
     dimensions = 2 if encoding.channels == 1 else 3
-    shape = (height, width, encoding.channels)[:dimensions]
-    strides = (step, encoding.pixel_bytes, encoding.dtype.itemsize)[:dimensions]
+    shape = (rows.height, width, encoding.channels)[:dimensions]
+    strides = (rows.step, encoding.pixel_bytes, encoding.dtype.itemsize)[:dimensions]
     dtype = encoding.dtype.newbyteorder(">" if message.is_bigendian else "<")
-    # The last row's padding is not part of the view, whose strides end inside the data: see _check_size.
+    # The last row's padding is not part of the view, whose strides end inside the data: see _rows.
     pixels: Image = np.ndarray(shape, dtype, buffer=data, strides=strides)
     if not (pixels.dtype.isnative and pixels.flags.aligned):
         pixels = pixels.astype(encoding.dtype, order="C")
     pixels.flags.writeable = False
-    return RawImage(pixels, encoding.layout)
+    return RawImage(pixels, encoding.layout, rows.remark)
 
 
 def image_message(
@@ -72,6 +78,8 @@ def image_message(
         If the pixels do not fit the encoding.
     """
     known = encoding_named(encoding)
+    if known.planar_rows:
+        raise EncodingError(f"encoding: {encoding!r} can be read and not be written; need one whose pixels are whole")
     rows = _checked_pixels(pixels, known)
     height, width = rows.shape[:2]
     order: Any = ">" if big_endian else "<"
@@ -107,16 +115,57 @@ def data_bytes(message: Any) -> NDArray[np.uint8]:
         raise EncodingError(f"data: {type(message.data).__name__} ({error}); need contiguous bytes") from None
 
 
-def _check_size(encoding: Encoding, width: int, height: int, step: int, available: int) -> None:
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Where an image's rows lie in its data: their number, the bytes from one to the next, and what is odd."""
+
+    height: int
+    step: int
+    remark: str = ""
+
+
+def _rows(encoding: Encoding, width: int, height: int, step: int, available: int) -> _Rows:
+    """Return how to read the data; `available` is their number of bytes."""
     if width <= 0 or height <= 0:
         raise EncodingError(f"image: {width} x {height} px; need positive width and height")
     if encoding.layout.color in (ColorModel.UYVY, ColorModel.YUYV) and width % 2:
         raise EncodingError(f"width: {width} px; need an even width for {encoding.name}")
     row = width * encoding.pixel_bytes
+    is_possible = step >= row and available >= step * (height - 1) + row
+    if not is_possible and step >= 0 and available == row * height:
+        return _Rows(height, row, f"step: {step} bytes; read as {row}, for the data are {height} rows of {row} bytes")
     if step < row:
         raise EncodingError(f"step: {step} bytes; need at least {row} for {width} px of {encoding.name}")
-    if available < step * height:
+    if not is_possible:
         raise EncodingError(f"data: {available} bytes; need step x height = {step} x {height} = {step * height}")
+    extra = available - step * height
+    if extra <= 0:
+        return _Rows(height, step)
+    remark = f"data: {available} bytes, {extra} more than step x height = {step} x {height}; these are ignored"
+    if available % height == 0:
+        remark += f" (a picture that looks slanted has rows of {available // height} bytes: step is wrong)"
+    return _Rows(height, step, remark)
+
+
+def _plane_rows(encoding: Encoding, width: int, height: int, step: int, available: int) -> _Rows:
+    """Return how to read the luma of YUV in planes, in whichever of three ways a driver fills height and step.
+
+    Height is the picture's and step the length of a row of luma (camera_ros); or step counts the bytes of all planes
+    for a row (depthai); or height counts the rows of all planes, as OpenCV does.
+    """
+    if width <= 0 or height <= 0:
+        raise EncodingError(f"image: {width} x {height} px; need positive width and height")
+    planes = encoding.planar_rows
+    if available == math.ceil(planes * height) * width:  # rows of luma without padding, whatever step says
+        return _Rows(height, width)
+    stacked = round(height / planes)
+    if step >= width and available < planes * step * height and stacked * planes == height:
+        if available >= step * height:
+            return _Rows(stacked, step)
+    elif step >= width and available >= planes * step * height:
+        return _Rows(height, step)
+    need = f"{math.ceil(planes * height)} rows of at least {width} bytes for {width} x {height} px of {encoding.name}"
+    raise EncodingError(f"data: {available} bytes, step {step}; need {need}")
 
 
 def _checked_pixels(pixels: Image, encoding: Encoding) -> Image:

@@ -11,7 +11,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgu_ros.codec.picture_files import check_picture_file, is_picture_file
+from imgu_ros.codec.picture_decoding import decode_picture_file
+from imgu_ros.codec.picture_files import is_picture_file
 from imgu_ros.errors import EncodingError, FileError, ShapeError
 from imgu_ros.files.picture_tags import (
     UPRIGHT,
@@ -208,7 +209,8 @@ def _decoded(path: Path, content: bytes) -> Image:
     encoded = np.frombuffer(content, np.uint8)
     if is_picture_file(encoded):
         try:
-            check_picture_file(encoded)
+            with _decoder_silenced():
+                return decode_picture_file(encoded, flags).pixels
         except EncodingError as error:
             raise FileError(f"{path}: {error}") from None
     try:

@@ -19,6 +19,7 @@ from imgu_ros.vision.processing.points import REC601, grey_from_rgb
 
 _TO_RGB = {
     ColorModel.MONO: cv2.COLOR_GRAY2RGB,
+    ColorModel.LUMA: cv2.COLOR_GRAY2RGB,
     ColorModel.BGR: cv2.COLOR_BGR2RGB,
     ColorModel.RGBA: cv2.COLOR_RGBA2RGB,
     ColorModel.BGRA: cv2.COLOR_BGRA2RGB,
@@ -45,6 +46,7 @@ _CHANNELS = {
     ColorModel.ARGB: 4,
     ColorModel.UYVY: 2,
     ColorModel.YUYV: 2,
+    ColorModel.LUMA: 1,
 }
 
 
@@ -63,7 +65,7 @@ class Developed:
             raise ShapeError(f"raw.black_level: {raw.black_level:g}; need less than the white level, {white:g}")
         #: Whether any part of the grey picture can be made without the rest of the frame.
         self._local = white is not None and (
-            image.layout.color is ColorModel.MONO
+            image.layout.color in (ColorModel.MONO, ColorModel.LUMA)
             or (
                 image.layout.color is ColorModel.BAYER
                 and method is DemosaicMethod.BILINEAR
@@ -160,7 +162,7 @@ class Developed:
             grey = self._grey_from_bands()
             if self._raw.band_mode in (BandMode.PRINCIPAL_COMPONENT, BandMode.SPECTRAL_ANGLE):
                 black, white = 0.0, None  # no raw values: the levels of raw data mean nothing to them
-        elif layout.color is ColorModel.MONO:
+        elif layout.color in (ColorModel.MONO, ColorModel.LUMA):
             grey = pixels
         elif layout.color in _TO_GREY and self._raw.grey_weights == REC601:
             grey = cv2.cvtColor(pixels, _TO_GREY[layout.color])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from collections.abc import Callable
 from functools import cache
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import EncodingError, ImguError
+from imgu_ros.nearest_name import nearest_name
 
 
 def make_message(type_name: str, /, **fields: object) -> Any:
@@ -27,8 +27,9 @@ def make_message(type_name: str, /, **fields: object) -> Any:
     for name in fields:
         # rclpy's constructors ignore unknown names, and its setters check nothing.
         if name not in known:
-            nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-            raise EncodingError(f"{type_name}: no field {name!r}; nearest known: {', '.join(nearest) or 'none'}")
+            near = nearest_name(name, known)
+            hint = f"nearest known: {near}" if near else f"need one of {', '.join(known) or 'none'}"
+            raise EncodingError(f"{type_name}: no field {name!r}; {hint}")
     values = {name: known[name](value) for name, value in fields.items()}
     arrays = {name: value for name, value in values.items() if isinstance(value, memoryview)}
     message = message_class(type_name)(**{name: value for name, value in values.items() if name not in arrays})

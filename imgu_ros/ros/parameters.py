@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.nearest_name import nearest_name
 from imgu_ros.parameter_values import checked_value, is_empty_group, parameters_from, value_or_empty
 from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
 
@@ -120,12 +121,11 @@ class ParameterServer:
         ParameterError
             With the names that are possible for the nearest topic.
         """
-        import difflib
-
         for name in self._qos_overrides:
             if name not in possible:
-                nearest = difflib.get_close_matches(name, possible, n=1, cutoff=0.0)
-                raise ParameterError(f"{name}: unknown parameter; nearest known: {nearest[0] if nearest else 'none'}")
+                near = nearest_name(name, possible)
+                hint = f"nearest known: {near}" if near else f"need one of {', '.join(sorted(possible)) or 'none'}"
+                raise ParameterError(f"{name}: unknown parameter; {hint}")
 
     def _converted(self, parameter: Parameter) -> Parameter:
         if parameter.name in FOREIGN or parameter.name.startswith(QOS_PREFIX):

@@ -128,6 +128,8 @@ class PerceptionNode(ManagedNode[ImageInput]):
             self._outputs.publish(result)
         if result.reason:
             self._log_rejected(result.reason)
+        if result.frame.image.remark:
+            self._warn_once("image", f"{self._input.topics.image}: {result.frame.image.remark}")
         now_ns = self.get_clock().now().nanoseconds
         if now_ns:
             self._worker.age.add((now_ns - result.frame.stamp_ns) / 1e9)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.nearest_name import nearest_name
 from imgu_ros.simulate.path import Motion
 from imgu_ros.simulate.placing import Placing
 from imgu_ros.vision.camera.distortion_model import DistortionModel
@@ -108,5 +108,7 @@ def condition_named(name: str) -> Condition:
     for condition in CONDITIONS:
         if condition.name == name:
             return condition
-    nearest = difflib.get_close_matches(name, [c.name for c in CONDITIONS], n=1, cutoff=0.0)
-    raise ParameterError(f"condition: {name!r}; nearest known: {nearest[0]}")
+    names = [condition.name for condition in CONDITIONS]
+    near = nearest_name(name, names)
+    hint = f"nearest known: {near}" if near else f"need one of {', '.join(names)}"
+    raise ParameterError(f"condition: {name!r}; {hint}")

@@ -141,9 +141,138 @@ def test_a_jpeg_cut_anywhere_is_refused(make, options):
     whole = cv2.imencode(".jpg", pixels, options)[1].tobytes()
     decode_compressed_image(compressed(make, whole, "jpeg"))
     decode_compressed_image(compressed(make, whole + b"\0\0\0", "jpeg"))  # padded by the driver
-    for length in [*range(0, len(whole) - 1, 37), len(whole) - 2, len(whole) - 1]:
+    for length in [*range(0, len(whole) - 3, 37), len(whole) - 5]:
         with pytest.raises(EncodingError, match="compressed image: "):
             decode_compressed_image(compressed(make, whole[:length], "jpeg"))
+
+
+#: The end of frames as drivers of MJPEG cameras leave it: nothing, half a marker, zeros up to the transfer's size.
+ENDS = {"no end": b"", "half a marker": b"\xff", "zeros": bytes(64), "half a marker and zeros": b"\xff" + bytes(3000)}
+
+
+@pytest.mark.parametrize("options", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_jpeg_without_its_end_marker_is_read_and_said(make, options, end, channels, capfd):
+    pixels = cv2.GaussianBlur(random_pixels((75, 101, *channels), np.uint8), (0, 0), 2)
+    whole = cv2.imencode(".jpg", pixels, options)[1].tobytes()
+    assert whole.endswith(b"\xff\xd9")
+    expected = decode_compressed_image(compressed(make, whole, "jpeg"))
+    assert expected.remark == ""
+    image = decode_compressed_image(compressed(make, whole[:-2] + ENDS[end], "jpeg"))
+    np.testing.assert_array_equal(image.pixels, expected.pixels)
+    assert image.remark == "JPEG without its end marker (ff d9), read as if it were there"
+    for lost in (6, 40, len(whole) // 2):
+        with pytest.raises(EncodingError, match=r"compressed image: JPEG cut after \d+ bytes; need the whole file"):
+            decode_compressed_image(compressed(make, whole[:-lost] + ENDS[end], "jpeg"))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_others_write_to_stderr_meanwhile_is_not_lost(make, capfd, monkeypatch):
+    """The decoder's remarks are kept from stderr, nobody else's are."""
+    import os
+
+    from imgu_ros.codec import picture_decoding
+
+    whole = cv2.imencode(".jpg", random_pixels((40, 40), np.uint8))[1].tobytes()
+    decode = picture_decoding._decoded
+
+    def decode_beside_another(data, flags):
+        os.write(2, b"another's line\n")
+        return decode(data, flags)
+
+    monkeypatch.setattr(picture_decoding, "_decoded", decode_beside_another)
+    decode_compressed_image(compressed(make, whole[:-2], "jpeg"))
+    assert capfd.readouterr().err == "another's line\n" * 2
+
+
+@pytest.mark.parametrize("tail", [b"\0\0\0", bytes(5000), b"\xff\xd9", b"\xff\xd9" + bytes(9), b"\xff" * 5, b"garbage"])
+def test_what_follows_the_end_marker_does_not_matter(make, tail):
+    whole = cv2.imencode(".jpg", random_pixels((40, 40, 3), np.uint8))[1].tobytes()
+    image = decode_compressed_image(compressed(make, whole + tail, "jpeg"))
+    np.testing.assert_array_equal(image.pixels, decode_compressed_image(compressed(make, whole, "jpeg")).pixels)
+    assert image.remark == ""
+
+
+def segments(jpeg: bytes) -> list[bytes]:
+    """SOI, each segment up to the scan, and the rest."""
+    parts, at = [jpeg[:2]], 2
+    while jpeg[at + 1] != 0xDA:
+        end = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+        parts.append(jpeg[at:end])
+        at = end
+    return [*parts, jpeg[at:]]
+
+
+def test_the_motion_jpeg_of_a_uvc_camera(make):
+    """AVI1 instead of JFIF, no Huffman tables (the standard ones are meant), padding behind the end."""
+    pixels = cv2.GaussianBlur(random_pixels((72, 96, 3), np.uint8), (0, 0), 2)
+    whole = cv2.imencode(".jpg", pixels)[1].tobytes()
+    soi, *rest = segments(whole)
+    kept = [segment for segment in rest if segment[1] not in (0xE0, 0xC4)]
+    assert len(kept) < len(rest)
+    avi1 = b"\xff\xe0\x00\x10AVI1\x00" + bytes(9)
+    frame = soi + avi1 + b"".join(kept) + bytes(48)
+    expected = decode_compressed_image(compressed(make, whole, "jpeg")).pixels
+    np.testing.assert_array_equal(decode_compressed_image(compressed(make, frame, "jpeg")).pixels, expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "color"),
+    [
+        ("jpeg", ColorModel.BGR),
+        ("jpg", ColorModel.BGR),
+        ("JPEG", ColorModel.BGR),
+        ("", ColorModel.BGR),
+        ("bgr8; jpeg compressed ", ColorModel.BGR),
+        ("bgr8; jpeg compressed bgr8", ColorModel.BGR),
+        ("rgb8; jpeg compressed bgr8", ColorModel.BGR),
+        ("RGB8; JPEG compressed BGR8", ColorModel.BGR),
+        ("rgb8; jpeg compressed rgb8", ColorModel.RGB),
+        ("RGB8; JPEG COMPRESSED RGB8", ColorModel.RGB),
+        ("BAYER_RGGB8; jpeg compressed bgr8", ColorModel.BGR),
+        ("rgb8;jpeg compressed bgr8", ColorModel.BGR),
+    ],
+)
+def test_ways_to_write_the_format_of_a_color_jpeg(make, text, color):
+    rgb = np.full((16, 16, 3), (220, 40, 10), np.uint8)
+    data = cv2.imencode(".jpg", rgb[..., ::-1] if color is ColorModel.BGR else rgb)[1].tobytes()
+    image = decode_compressed_image(compressed(make, data, text))
+    assert image.layout.color is color
+
+
+def test_a_mosaic_in_capital_letters(make):
+    data = hand_made_png(random_pixels((6, 6), np.uint8))
+    image = decode_compressed_image(compressed(make, data, "BAYER_GRBG8; PNG compressed "))
+    assert image.layout == PixelLayout(ColorModel.BAYER, BayerPattern.GRBG)
+
+
+#: The head of compressed_depth_image_transport's data: an enum and two floats before the PNG.
+DEPTH_HEAD = struct.pack("<iff", 0, 100.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "data", "says"),
+    [
+        (
+            "16UC1; compressedDepth",
+            DEPTH_HEAD + b"\x89PNG\r\n\x1a\n",
+            "is a depth picture of compressed_depth",
+        ),
+        ("32FC1; compressedDepth png", DEPTH_HEAD + b"\x89PNG\r\n\x1a\n", "is a depth picture"),
+        ("16UC1; compressedDepth rvl", DEPTH_HEAD + bytes(20), "is a depth picture"),
+        ("h264", b"\0\0\0\1\x67\x42", "format 'h264' is video, whose frames are no pictures by themselves"),
+        ("H265", b"\0\0\0\1\x40\x01", "format 'H265' is video"),
+        ("bgr8; theora compressed", b"\x80theora", "is video"),
+        ("nv12", bytes(96), "format 'nv12' names pixels that are not compressed"),
+        ("rgb8", bytes(96), "format 'rgb8' names pixels that are not compressed"),
+        ("webp", b"RIFF\x20\0\0\0WEBP", "16 bytes that begin with|12 bytes that begin with"),
+        ("jpeg", b"", "0 bytes that begin with nothing"),
+    ],
+)
+def test_what_is_no_picture_is_called_by_its_name(make, text, data, says):
+    with pytest.raises(EncodingError, match=rf"compressed image: .*{says}.*need JPEG \(ff d8 ff\) or PNG"):
+        decode_compressed_image(compressed(make, data, text))
 
 
 def test_a_png_cut_anywhere_is_refused(make):

@@ -310,9 +310,20 @@ def test_extreme_bands():
     assert developed(huge, ColorModel.BANDS).grey[1, 0] == 0
 
 
+def test_luma_is_grey_of_a_display():
+    """The luma of YUV is that of JPEG: no values of the light, unlike a monochrome sensor's."""
+    pixels = np.random.default_rng(1).integers(0, 256, (6, 8), np.uint8)
+    luma, mono = developed(pixels, ColorModel.LUMA), developed(pixels, ColorModel.MONO)
+    assert (luma.is_linear, mono.is_linear) == (False, True)
+    np.testing.assert_array_equal(luma.grey, pixels)
+    np.testing.assert_array_equal(luma.color(), np.dstack([pixels] * 3))
+    np.testing.assert_array_equal(luma.halved(), mono.halved())
+
+
 CHANNELS = {
     ColorModel.BAYER: 0,
     ColorModel.MONO: 0,
+    ColorModel.LUMA: 0,
     **dict.fromkeys((ColorModel.RGB, ColorModel.BGR), 3),
     **dict.fromkeys((ColorModel.RGBA, ColorModel.BGRA, ColorModel.ARGB), 4),
     **dict.fromkeys((ColorModel.UYVY, ColorModel.YUYV), 2),

@@ -20,6 +20,7 @@ class ColorModel(Choice):
     ARGB = "argb"  #: (H, W, 4)
     UYVY = "uyvy"  #: (H, W, 2), 4:2:2, chroma first
     YUYV = "yuyv"  #: (H, W, 2), 4:2:2, luma first
+    LUMA = "luma"  #: (H, W), the luma plane of a colour picture
     BANDS = "bands"  #: (H, W) or (H, W, N), no colour meaning (infrared, hyperspectral)
 
 
@@ -39,7 +40,9 @@ class RawImage:
     ----------
     pixels : (H, W) or (H, W, C), native byte order, any row stride, read-only
     layout : what the channels mean
+    remark : what is odd about the data that held them, for people; empty when nothing is
     """
 
     pixels: Image
     layout: PixelLayout
+    remark: str = ""
