@@ -32,8 +32,8 @@ class DecodedPicture:
     remark: str = ""
 
 
-def decode_picture_file(data: NDArray[np.uint8], flags: int = cv2.IMREAD_UNCHANGED) -> DecodedPicture:
-    """Decode a JPEG or PNG file.
+def decode_picture_file(data: NDArray[np.uint8]) -> DecodedPicture:
+    """Decode a JPEG or PNG file: with alpha, and not turned by an orientation tag.
 
     A JPEG without an end marker, as some cameras send it, is decoded when its picture is complete: whatever is put
     behind it must change nothing. Where rows are missing, it would.
@@ -41,7 +41,6 @@ def decode_picture_file(data: NDArray[np.uint8], flags: int = cv2.IMREAD_UNCHANG
     Parameters
     ----------
     data : (N,) the file
-    flags : of cv2.imdecode
 
     Raises
     ------
@@ -49,12 +48,10 @@ def decode_picture_file(data: NDArray[np.uint8], flags: int = cv2.IMREAD_UNCHANG
         If the data are no JPEG or PNG, cut, or damaged.
     """
     if check_picture_file(data).has_end:
-        return DecodedPicture(_decoded(data, flags))
+        return DecodedPicture(_decoded(data))
     content = _without_padding(data.tobytes())
     with _STDERR, _without_messages():
-        ended, continued = (
-            _decoded(np.frombuffer(content + tail + _END, np.uint8), flags) for tail in (b"", _more(content))
-        )
+        ended, continued = (_decoded(np.frombuffer(content + tail + _END, np.uint8)) for tail in (b"", _more(content)))
     if not np.array_equal(ended, continued):
         raise EncodingError(f"JPEG cut after {len(data)} bytes; need the whole file")
     return DecodedPicture(ended, "JPEG without its end marker (ff d9), read as if it were there")
@@ -86,9 +83,9 @@ def _without_padding(content: bytes) -> bytes:
     return content.rstrip(b"\xff")
 
 
-def _decoded(data: NDArray[np.uint8], flags: int) -> Image:
+def _decoded(data: NDArray[np.uint8]) -> Image:
     try:
-        pixels: Image | None = cv2.imdecode(data, flags)
+        pixels: Image | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         cause = " ".join((error.err or "damaged data").split())
         raise EncodingError(f"{cause}; need a JPEG or PNG that decodes") from None

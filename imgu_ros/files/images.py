@@ -210,7 +210,7 @@ def _decoded(path: Path, content: bytes) -> Image:
     if is_picture_file(encoded):
         try:
             with _decoder_silenced():
-                return decode_picture_file(encoded, flags).pixels
+                return decode_picture_file(encoded).pixels
         except EncodingError as error:
             raise FileError(f"{path}: {error}") from None
     try:

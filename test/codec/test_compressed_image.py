@@ -177,9 +177,9 @@ def test_what_others_write_to_stderr_meanwhile_is_not_lost(make, capfd, monkeypa
     whole = cv2.imencode(".jpg", random_pixels((40, 40), np.uint8))[1].tobytes()
     decode = picture_decoding._decoded
 
-    def decode_beside_another(data, flags):
+    def decode_beside_another(data):
         os.write(2, b"another's line\n")
-        return decode(data, flags)
+        return decode(data)
 
     monkeypatch.setattr(picture_decoding, "_decoded", decode_beside_another)
     decode_compressed_image(compressed(make, whole[:-2], "jpeg"))
