@@ -57,6 +57,7 @@ def pages() -> dict[str, str]:
     for chapter, title in CHAPTERS.items():
         summary = _paragraphs(importlib.import_module(f"{PACKAGE}.{chapter}"))[0]
         lines.append(f"- [{title}]({chapter}.md): {summary}")
+    lines += ["", *(inspect.getdoc(importlib.import_module(PACKAGE)) or "").splitlines()]
     lines += ["", "Every algorithm, its function, test, parameter and source: [algorithms.csv](../algorithms.csv).", ""]
     return {"README.md": "\n".join(lines), **texts}
 
@@ -97,7 +98,12 @@ def _chapter_page(chapter: str, title: str) -> str:
         objects = list(public_objects(module))
         if not objects:
             continue
-        lines += [f"## {module.__name__}", "", *_paragraph_lines(module), ""]
+        names = ", ".join(name for name, _ in objects)
+        shown = f"from {PACKAGE}.{chapter} import {names}"
+        if len(shown) > 100:
+            shown = "\n".join([f"from {PACKAGE}.{chapter} import (", *textwrap.wrap(names, 90), ")"])
+            shown = shown.replace("\n", "\n    ").replace("\n    )", ",\n)")
+        lines += [f"## {module.__name__}", "", "```python", shown, "```", "", *_paragraph_lines(module), ""]
         for name, value in objects:
             lines += _described(name, value)
     return "\n".join(lines).rstrip() + "\n"
@@ -110,12 +116,18 @@ def _catalogue(chapter: str) -> list[str]:
         return []
     lines = ["| section | what | function | reached by | source |", "|---|---|---|---|---|"]
     for row in rows:
-        function = row["function"].removeprefix(f"{PACKAGE}.{chapter}.")
+        function = _short(row["function"].removeprefix(f"{PACKAGE}.{chapter}."))
         lines.append(
             f"| {row['section']} | {_cell(row['item'])} | `{function}` | {_cell(_code(row['reached_by']))} "
             f"| {_cell(row['source'])} |"
         )
     return [*lines, ""]
+
+
+def _short(path: str) -> str:
+    """Return a dotted path without its modules: as it is imported from its room, a method behind its class."""
+    parts = path.split(".")
+    return ".".join(parts[-2:] if len(parts) > 1 and parts[-2][0].isupper() else parts[-1:])
 
 
 def _code(reached_by: str) -> str:

@@ -11,11 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imgu_ros.simulate.chessboard import draw_chessboard
-from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
-from imgu_ros.vision.camera.distortion import bend, fold_radius
-from imgu_ros.vision.camera.intrinsics import make_camera
-from imgu_ros.vision.camera.rigid import RigidTransform
-from imgu_ros.vision.camera.rotation import exp_so3
+from imgu_ros.vision.camera import Chessboard, RigidTransform, bend, exp_so3, find_chessboard, fold_radius, make_camera
 
 BOARD = Chessboard(9, 6, 0.03)
 LENSES = (

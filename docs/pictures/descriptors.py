@@ -14,13 +14,11 @@ from matplotlib.figure import Figure
 
 from imgu_ros.simulate.sequence import default_targets
 from imgu_ros.types import Image, Points
-from imgu_ros.vision.descriptors.describe import DescriptorKind, describe
+from imgu_ros.vision.descriptors import DescriptorKind, describe
 from imgu_ros.vision.descriptors.patch import SIDE, STEP_PER_SIGMA
-from imgu_ros.vision.keypoints.detect import detect
-from imgu_ros.vision.keypoints.keypoints import Keypoints
-from imgu_ros.vision.matching.gallery import prepare_gallery
-from imgu_ros.vision.matching.metrics import metric_for
-from imgu_ros.vision.scale_space.pyramid import build_pyramid
+from imgu_ros.vision.keypoints import Keypoints, detect
+from imgu_ros.vision.matching import metric_for, prepare_gallery
+from imgu_ros.vision.scale_space import build_pyramid
 
 _TURN_RAD = math.radians(40)
 _SCALE = 0.9

@@ -10,10 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from imgu_ros.types import Floats
-from imgu_ros.vision.estimation.line import LineModel, fit_line
-from imgu_ros.vision.estimation.losses import cauchy, huber, tukey
-from imgu_ros.vision.estimation.nonlinear import Linearisation, Minimiser, minimise
-from imgu_ros.vision.estimation.ransac import ransac
+from imgu_ros.vision.estimation import (
+    Linearisation,
+    LineModel,
+    Minimiser,
+    cauchy,
+    fit_line,
+    huber,
+    minimise,
+    ransac,
+    tukey,
+)
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 

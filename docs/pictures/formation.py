@@ -11,8 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from imgu_ros.types import Image
-from imgu_ros.vision.formation.cfa import BayerPattern, mosaic, site_mask
-from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic
+from imgu_ros.vision.formation import BayerPattern, DemosaicMethod, demosaic, mosaic, site_mask
 
 _PATTERN = BayerPattern.RGGB
 _SIZE = 120

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image
-from imgu_ros.vision.keypoints.detect import Detector, detect
-from imgu_ros.vision.scale_space.pyramid import build_pyramid
+from imgu_ros.vision.keypoints import Detector, detect
+from imgu_ros.vision.scale_space import build_pyramid
 
 _SIDE = 240
 _COUNT = 40

@@ -12,13 +12,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from imgu_ros.types import Points
-from imgu_ros.vision.descriptors.describe import describe
-from imgu_ros.vision.keypoints.detect import detect
-from imgu_ros.vision.matching.guided import guided_homography
-from imgu_ros.vision.matching.nearest import match
-from imgu_ros.vision.projective.estimate import estimate_homography
-from imgu_ros.vision.projective.transform import transform
-from imgu_ros.vision.scale_space.pyramid import build_pyramid
+from imgu_ros.vision.descriptors import describe
+from imgu_ros.vision.keypoints import detect
+from imgu_ros.vision.matching import guided_homography, match
+from imgu_ros.vision.projective import estimate_homography, transform
+from imgu_ros.vision.scale_space import build_pyramid
 
 _VIEW = np.array([[0.78, -0.16, 75.0], [0.1, 0.72, 12.0], [2e-4, -3e-4, 1.0]])
 _SIDE = 360

@@ -12,12 +12,19 @@ from matplotlib.figure import Figure
 
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.types import Image
-from imgu_ros.vision.processing.derivatives import gradient
-from imgu_ros.vision.processing.edges import canny
-from imgu_ros.vision.processing.histograms import equalised, equalised_locally
-from imgu_ros.vision.processing.points import gamma_corrected, grey_from_rgb
-from imgu_ros.vision.processing.thresholding import otsu_threshold, thresholded
-from imgu_ros.vision.processing.warping import rotated, warped, whole_picture
+from imgu_ros.vision.processing import (
+    canny,
+    equalised,
+    equalised_locally,
+    gamma_corrected,
+    gradient,
+    grey_from_rgb,
+    otsu_threshold,
+    rotated,
+    thresholded,
+    warped,
+    whole_picture,
+)
 
 _SIDES = (150, 110)
 

@@ -8,11 +8,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from imgu_ros.types import Matrix3, Points
-from imgu_ros.vision.projective.cross_ratio import cross_ratio
-from imgu_ros.vision.projective.hierarchy import classify
-from imgu_ros.vision.projective.points_and_lines import LINE_AT_INFINITY, transform_lines
-from imgu_ros.vision.projective.transform import transform
-from imgu_ros.vision.projective.transformations import affine, euclidean, projective, similarity
+from imgu_ros.vision.projective import (
+    affine,
+    classify,
+    cross_ratio,
+    euclidean,
+    projective,
+    similarity,
+    transform,
+    transform_lines,
+)
+from imgu_ros.vision.projective.points_and_lines import LINE_AT_INFINITY
 
 _VIEWS: tuple[tuple[str, Matrix3], ...] = (
     ("lines, cross ratio", projective([[0.65, 0.05], [-0.05, 0.65]], (0, 0), (0.08, -0.45))),

@@ -10,11 +10,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from imgu_ros.simulate.texture import procedural_texture
-from imgu_ros.vision.processing.points import grey_from_rgb
-from imgu_ros.vision.scale_space.gaussian import smooth
-from imgu_ros.vision.scale_space.kernels import discrete_gaussian, sampled_gaussian
-from imgu_ros.vision.scale_space.laplacian import laplacian_pyramid
-from imgu_ros.vision.scale_space.recursive import smooth_recursively
+from imgu_ros.vision.processing import grey_from_rgb
+from imgu_ros.vision.scale_space import (
+    discrete_gaussian,
+    laplacian_pyramid,
+    sampled_gaussian,
+    smooth,
+    smooth_recursively,
+)
 
 _COLORS = {"sampled": "#d55e00", "discrete": "#0072b2", "recursive": "#009e73"}
 _MARKERS = {"sampled": "s", "discrete": "o", "recursive": "x"}

@@ -30,3 +30,116 @@ matches alone, and `pose.ambiguity_ratio` decides when both solutions fit. The r
 Three slips of the notes: R_y in 8.1.5 is printed transposed, its last line reads x1 ~ K R^T K^-1 x2 (the inverse of
 x2 ~ K R K^-1 x1), and the y axis of 8.1.3 points up, where pictures have it down.
 """
+
+from imgu_ros.vision.camera.angle_of_view import AngleOfView, angle_of_view, intrinsic_matrix, intrinsic_matrix_of_lens
+from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
+from imgu_ros.vision.camera.calibration import CalibratedView, Calibration, calibrate
+from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projection
+from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
+from imgu_ros.vision.camera.correspondences import as_correspondences
+from imgu_ros.vision.camera.decomposition import CameraParts, decompose_projection, rq
+from imgu_ros.vision.camera.distortion import Bent, bend, bend_with_derivatives, fold_radius, unbend
+from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
+from imgu_ros.vision.camera.euler import EulerOrder, euler_angles, from_euler
+from imgu_ros.vision.camera.homography_pose import poses_of_homography
+from imgu_ros.vision.camera.intrinsics import Camera, make_camera
+from imgu_ros.vision.camera.ippe import poses_about_point
+from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, planar_poses, weighed_poses
+from imgu_ros.vision.camera.plane_view import plane_homography, pose_from_plane_homography
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose_estimate import PoseModel, estimate_pose, fit_pose
+from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_seen_from
+from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
+from imgu_ros.vision.camera.projection import (
+    as_intrinsic_matrix,
+    camera_centre,
+    camera_to_world,
+    depths,
+    finite_camera,
+    project,
+    projection_matrix,
+    world_to_camera,
+)
+from imgu_ros.vision.camera.resection import ProjectionEstimate, design_matrix, fit_projection, projection_dlt
+from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform, rigid_transforms
+from imgu_ros.vision.camera.rotation import as_rotation, exp_so3, from_quaternion, log_so3, nearest_rotation, quaternion
+from imgu_ros.vision.camera.rotation_model import RotationEstimate, RotationModel, estimate_rotation
+from imgu_ros.vision.camera.rotation_view import rotation_from_homography, rotation_homography
+from imgu_ros.vision.camera.view_choice import choose_views
+
+__all__ = [
+    "AngleOfView",
+    "Bent",
+    "BundleProblem",
+    "BundleState",
+    "CalibratedView",
+    "Calibration",
+    "Camera",
+    "CameraParts",
+    "Chessboard",
+    "DistortionModel",
+    "EulerOrder",
+    "FusedPose",
+    "PlanarPoses",
+    "Pose",
+    "PoseModel",
+    "PoseProblem",
+    "ProjectionEstimate",
+    "ProjectionModel",
+    "RigidTransform",
+    "RotationEstimate",
+    "RotationModel",
+    "angle_of_view",
+    "as_coefficients",
+    "as_correspondences",
+    "as_distortion_model",
+    "as_intrinsic_matrix",
+    "as_rotation",
+    "bend",
+    "bend_with_derivatives",
+    "calibrate",
+    "camera_centre",
+    "camera_to_world",
+    "choose_views",
+    "decompose_projection",
+    "depths",
+    "design_matrix",
+    "estimate_pose",
+    "estimate_projection",
+    "estimate_rotation",
+    "euler_angles",
+    "exp_so3",
+    "find_chessboard",
+    "finite_camera",
+    "fit_pose",
+    "fit_projection",
+    "fold_radius",
+    "from_euler",
+    "from_quaternion",
+    "fuse_poses",
+    "intrinsic_matrix",
+    "intrinsic_matrix_of_lens",
+    "log_so3",
+    "make_camera",
+    "nearest_rotation",
+    "planar_pose_starts",
+    "planar_poses",
+    "plane_homography",
+    "point_by_pose",
+    "pose_from_plane_homography",
+    "pose_seen_from",
+    "poses_about_point",
+    "poses_of_homography",
+    "project",
+    "projection_dlt",
+    "projection_matrix",
+    "quaternion",
+    "rigid_transform",
+    "rigid_transforms",
+    "rotation_from_homography",
+    "rotation_homography",
+    "rq",
+    "unbend",
+    "weighed_poses",
+    "world_to_camera",
+]

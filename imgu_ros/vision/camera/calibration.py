@@ -126,7 +126,7 @@ def calibrate(
 
     Examples
     --------
-    >>> from imgu_ros.vision.camera.rotation import exp_so3
+    >>> from imgu_ros.vision.camera import exp_so3
     >>> truth = make_camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [-0.2, 0.05], "plumb_bob", 640, 480)
     >>> board = np.column_stack([g.ravel() for g in np.meshgrid(np.arange(9) * 0.03, np.arange(6) * 0.03)])
     >>> turns = [(0.4, 0, 0), (0, 0.5, 0.2), (-0.4, 0.3, 0), (0.1, -0.5, 1.0)]

@@ -41,7 +41,7 @@ def decompose_projection(P: ArrayLike) -> CameraParts:
 
     Examples
     --------
-    >>> from imgu_ros.vision.camera.projection import projection_matrix
+    >>> from imgu_ros.vision.camera import projection_matrix
     >>> K = [[100, 0, 50], [0, 90, 40], [0, 0, 1]]
     >>> parts = decompose_projection(-3 * projection_matrix(K, np.eye(3), [0, 1, 2]))
     >>> parts.K.round(9).tolist(), parts.pose.t.round(9).tolist()

@@ -64,8 +64,8 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     --------
     Points of a picture printed at a centimetre a pixel, two metres ahead and tilted by half a radian:
 
-    >>> from imgu_ros.vision.projective.condensed import condensed_homography
-    >>> from imgu_ros.vision.projective.increments import PlaneMotion
+    >>> from imgu_ros.vision.projective import condensed_homography
+    >>> from imgu_ros.vision.projective import PlaneMotion
     >>> K, plane_from_px, R = np.diag([500.0, 500, 1]), np.diag([0.01, 0.01, 1]), exp_so3([0.5, 0, 0])
     >>> H = K @ np.column_stack((R[:, :2], [0, 0, 2])) @ plane_from_px
     >>> motions, still = PlaneMotion([[-30, -30], [30, -30], [30, 30], [-30, 30], [10, 2], [-3, 9]]), np.zeros((6, 2))

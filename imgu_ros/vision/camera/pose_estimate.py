@@ -50,7 +50,7 @@ def fit_pose(points: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: flo
 
     Examples
     --------
-    >>> from imgu_ros.vision.camera.intrinsics import make_camera
+    >>> from imgu_ros.vision.camera import make_camera
     >>> camera = make_camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], (), "plumb_bob", 640, 480)
     >>> points = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, 0.2], [0.2, 0.2, 0.1]])
     >>> fit_pose(points, camera.project(points + [0.1, 0.05, 1.0]), camera).t.round(9).tolist()

@@ -71,7 +71,7 @@ def fit_projection(world: ArrayLike, pixels: ArrayLike, noise_px: float | None =
 
     Examples
     --------
-    >>> from imgu_ros.vision.camera.projection import camera_centre, project, projection_matrix
+    >>> from imgu_ros.vision.camera import camera_centre, project, projection_matrix
     >>> P = projection_matrix([[500, 0, 320], [0, 500, 240], [0, 0, 1]], np.eye(3), [0.1, 0.2, 3.0])
     >>> world = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0.5], [-1, 0.5, 0.7]], float)
     >>> camera_centre(fit_projection(world, project(P, world)).P).round(9).tolist()

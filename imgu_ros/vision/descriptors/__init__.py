@@ -23,3 +23,26 @@ Single pictures are described by `describe_orb`, `describe_brief`, `describe_sif
 
 Parameters: `descriptor.kind`. Notes: 4.2.4, 5.1, 5.2, 5.4, 5.5.
 """
+
+from imgu_ros.vision.descriptors.brief import brief_pairs, describe_brief
+from imgu_ros.vision.descriptors.describe import Descriptions, DescriptorKind, describe, empty_descriptors
+from imgu_ros.vision.descriptors.described import Described, checked_corners
+from imgu_ros.vision.descriptors.orb import describe_orb
+from imgu_ros.vision.descriptors.patch import describe_patch, sample_patches
+from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
+
+__all__ = [
+    "Described",
+    "Descriptions",
+    "DescriptorKind",
+    "brief_pairs",
+    "checked_corners",
+    "describe",
+    "describe_brief",
+    "describe_orb",
+    "describe_patch",
+    "describe_rootsift",
+    "describe_sift",
+    "empty_descriptors",
+    "sample_patches",
+]

@@ -64,7 +64,7 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.scale_space.pyramid import build_pyramid
+    >>> from imgu_ros.vision.scale_space import build_pyramid
     >>> pyramid = build_pyramid(np.random.default_rng(0).integers(0, 256, (90, 90), np.uint8), levels=1)
     >>> one = np.ones(1)
     >>> point = Keypoints(np.array([[45.0, 45.0]]), 2 * one, 0 * one, one, np.zeros(1, np.int32))

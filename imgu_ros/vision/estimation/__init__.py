@@ -29,3 +29,49 @@ In the chain: `homography.sampler`, `homography.score`, `homography.threshold_px
 `homography.max_iterations`, `homography.min_inliers`, `homography.error`, `homography.refine`.
 Notes: 7.1 to 7.3 and 7.5, 7.6; Hartley & Zisserman 2004, chapters 4 and 5, appendices 5 and 6.
 """
+
+from imgu_ros.vision.estimation.covariance import propagated_covariance, window_correlation
+from imgu_ros.vision.estimation.directions import DirectionsModel, align_directions
+from imgu_ros.vision.estimation.line import LineEstimate, LineModel, fit_line
+from imgu_ros.vision.estimation.linear import (
+    LinearEstimate,
+    homogeneous_least_squares,
+    least_squares,
+    shape_of,
+    total_least_squares,
+)
+from imgu_ros.vision.estimation.losses import cauchy, huber, tukey
+from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Linearisation, Minimiser, Minimum, minimise
+from imgu_ros.vision.estimation.ransac import Consensus, RobustModel, Score, WeightedModel, iterations_needed, ransac
+from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
+
+__all__ = [
+    "Consensus",
+    "DirectionsModel",
+    "LeastSquaresProblem",
+    "LineEstimate",
+    "LineModel",
+    "LinearEstimate",
+    "Linearisation",
+    "Minimiser",
+    "Minimum",
+    "RobustModel",
+    "Sampler",
+    "Score",
+    "WeightedModel",
+    "align_directions",
+    "cauchy",
+    "draw_samples",
+    "fit_line",
+    "homogeneous_least_squares",
+    "huber",
+    "iterations_needed",
+    "least_squares",
+    "minimise",
+    "propagated_covariance",
+    "ransac",
+    "shape_of",
+    "total_least_squares",
+    "tukey",
+    "window_correlation",
+]

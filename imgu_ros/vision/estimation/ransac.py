@@ -119,7 +119,7 @@ def ransac(
 
     Examples
     --------
-    >>> from imgu_ros.vision.estimation.line import LineModel
+    >>> from imgu_ros.vision.estimation import LineModel
     >>> points = np.array([[3, 0], [3, 5], [3, 1], [8, 8], [3, 9], [0, 6], [3, 7]])
     >>> ransac(LineModel(points), 0.1, np.random.default_rng(0)).inliers.tolist()
     [True, True, True, False, True, False, True]

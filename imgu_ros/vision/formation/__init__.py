@@ -29,3 +29,82 @@ speed; `edge_aware` 30.4 and 32.4; `malvar` 36.0 and 34.1, colour at video rate;
 
 Sources: notes 1.1 to 1.3; Szeliski 2022, 2.2 and 2.3; EMVA Standard 1288; Kruse et al. 1993 (spectral angle).
 """
+
+from imgu_ros.vision.formation.bands import (
+    BandMode,
+    grey_from_bands,
+    mean_of_bands,
+    principal_component,
+    spectral_angle,
+)
+from imgu_ros.vision.formation.cfa import BayerPattern, as_mosaic, mosaic, site_mask
+from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
+from imgu_ros.vision.formation.demosaicking.hamilton_adams import demosaic_hamilton_adams
+from imgu_ros.vision.formation.demosaicking.malvar import demosaic_malvar
+from imgu_ros.vision.formation.demosaicking.menon import demosaic_menon
+from imgu_ros.vision.formation.demosaicking.opencv import demosaic_bilinear, demosaic_edge_aware
+from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads
+from imgu_ros.vision.formation.demosaicking.residual import demosaic_residual
+from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
+from imgu_ros.vision.formation.optics import (
+    DepthOfField,
+    ThinLens,
+    circle_of_confusion,
+    depth_of_field,
+    disc_kernel,
+    hyperfocal_distance,
+)
+from imgu_ros.vision.formation.pixel_array import PixelArray
+from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
+from imgu_ros.vision.formation.shutter import Exposure, motion_kernel, rolling_shutter_points, row_times
+from imgu_ros.vision.formation.transfer import light_of_srgb, linear_from_srgb, srgb_from_linear
+
+__all__ = [
+    "BandMode",
+    "BayerPattern",
+    "ColorModel",
+    "DemosaicMethod",
+    "DepthOfField",
+    "Exposure",
+    "Field",
+    "Missing",
+    "PixelArray",
+    "PixelLayout",
+    "Quads",
+    "RawImage",
+    "Recipe",
+    "Sensor",
+    "ThinLens",
+    "as_mosaic",
+    "circle_of_confusion",
+    "demosaic",
+    "demosaic_bilinear",
+    "demosaic_edge_aware",
+    "demosaic_hamilton_adams",
+    "demosaic_in_strips",
+    "demosaic_malvar",
+    "demosaic_menon",
+    "demosaic_residual",
+    "depth_of_field",
+    "disc_kernel",
+    "expose",
+    "grey_from_bands",
+    "grey_from_mosaic",
+    "hyperfocal_distance",
+    "light_of_srgb",
+    "linear_from_srgb",
+    "mean_of_bands",
+    "mosaic",
+    "motion_kernel",
+    "principal_component",
+    "quantise",
+    "rolling_shutter_points",
+    "row_times",
+    "site_mask",
+    "spectral_angle",
+    "srgb_from_linear",
+    "stretched_to_8_bit",
+    "with_levels",
+]

@@ -49,7 +49,7 @@ def demosaic(raw: Image, pattern: BayerPattern, method: DemosaicMethod | str = D
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
+    >>> from imgu_ros.vision.formation import BayerPattern, mosaic
     >>> picture = np.full((6, 8, 3), (200, 120, 40), np.uint8)
     >>> raw = mosaic(picture, BayerPattern.GRBG)
     >>> raw[0, :4].tolist()
@@ -81,7 +81,7 @@ def grey_from_mosaic(raw: Image, pattern: BayerPattern, exact_border: bool = Tru
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.formation.cfa import BayerPattern
+    >>> from imgu_ros.vision.formation import BayerPattern
     >>> grey_from_mosaic(np.full((4, 6), 77, np.uint8), BayerPattern.BGGR)[0].tolist()
     [77, 77, 77, 77, 77, 77]
     """

@@ -25,3 +25,48 @@ How often keypoints are found again, beside OpenCV's own detectors, with time an
 Notes 4.2.1 to 4.2.4 and 4.3.1; Harris & Stephens 1988, Moravec 1980, Rosten & Drummond 2006, Lowe 2004, Matas et al.
 2002, Rublee et al. 2011. The angle is measured from x towards y, clockwise as seen.
 """
+
+from imgu_ros.vision.keypoints.detect import Detector, detect
+from imgu_ros.vision.keypoints.dog import detect_dog
+from imgu_ros.vision.keypoints.dog_centres import refined_centres
+from imgu_ros.vision.keypoints.dominant import Orientations, dominant_orientations
+from imgu_ros.vision.keypoints.fast import detect_fast
+from imgu_ros.vision.keypoints.harris import detect_harris, harris_response
+from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
+from imgu_ros.vision.keypoints.moravec import detect_moravec, moravec_response
+from imgu_ros.vision.keypoints.mser import Regions, detect_mser, find_regions
+from imgu_ros.vision.keypoints.opencv import corners_from_opencv, opencv_keypoints, positions, require_describable
+from imgu_ros.vision.keypoints.orb import detect_orb
+from imgu_ros.vision.keypoints.orientation import centroid_orientation, scaled_orientation
+from imgu_ros.vision.keypoints.peaks import Peaks, find_peaks
+from imgu_ros.vision.keypoints.spreading import spread
+
+__all__ = [
+    "Corners",
+    "Detector",
+    "Keypoints",
+    "Orientations",
+    "Peaks",
+    "Regions",
+    "centroid_orientation",
+    "corners_from_opencv",
+    "detect",
+    "detect_dog",
+    "detect_fast",
+    "detect_harris",
+    "detect_moravec",
+    "detect_mser",
+    "detect_orb",
+    "dominant_orientations",
+    "find_peaks",
+    "find_regions",
+    "harris_response",
+    "moravec_response",
+    "on_level",
+    "opencv_keypoints",
+    "positions",
+    "refined_centres",
+    "require_describable",
+    "scaled_orientation",
+    "spread",
+]

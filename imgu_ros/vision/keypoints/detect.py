@@ -64,7 +64,7 @@ def detect(
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.scale_space.pyramid import build_pyramid
+    >>> from imgu_ros.vision.scale_space import build_pyramid
     >>> image = np.kron(np.random.default_rng(0).integers(0, 256, (12, 16)), np.ones((20, 20))).astype(np.uint8)
     >>> keypoints = detect(build_pyramid(image), "harris", max_count=100)
     >>> len(keypoints), int(keypoints.octave.max())

@@ -36,3 +36,67 @@ descriptor and beside OpenCV's: `docs/matching.md`.
 
 Parameters: `matching.metric`, `matching.ratio`, `matching.mutual`, `matching.guided`. Notes: 5.1, 5.3, 5.4.2, 7.5.
 """
+
+from imgu_ros.vision.matching.alignment import Displacements, LocalBend, Patches, PreparedPatches, as_grey
+from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
+from imgu_ros.vision.matching.guided import GuidedHomography, guided_homography, match_guided
+from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
+from imgu_ros.vision.matching.index import DescriptorIndex, build_index
+from imgu_ros.vision.matching.matches import Matches
+from imgu_ros.vision.matching.metrics import (
+    Metric,
+    checked_rows,
+    comparable_rows,
+    metric_for,
+    metric_of_rows,
+    metrics_of,
+    require_index,
+)
+from imgu_ros.vision.matching.near import NearPairs, near_pairs
+from imgu_ros.vision.matching.nearest import match, match_to_gallery
+from imgu_ros.vision.matching.numbers import NumberRows, number_rows
+from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.patches import ncc, ssd, zmssd
+from imgu_ros.vision.matching.places import Neighbours, Places, find_places
+from imgu_ros.vision.matching.response import Response
+from imgu_ros.vision.matching.sheet import Sheet
+
+__all__ = [
+    "BinaryRows",
+    "DescriptorIndex",
+    "Displacements",
+    "Gallery",
+    "GuidedHomography",
+    "LocalBend",
+    "Matches",
+    "Metric",
+    "NearPairs",
+    "Neighbours",
+    "NumberRows",
+    "PatchBank",
+    "Patches",
+    "Places",
+    "PreparedPatches",
+    "Response",
+    "Sheet",
+    "as_grey",
+    "binary_rows",
+    "build_index",
+    "checked_rows",
+    "comparable_rows",
+    "find_places",
+    "guided_homography",
+    "match",
+    "match_guided",
+    "match_to_gallery",
+    "metric_for",
+    "metric_of_rows",
+    "metrics_of",
+    "ncc",
+    "near_pairs",
+    "number_rows",
+    "prepare_gallery",
+    "require_index",
+    "ssd",
+    "zmssd",
+]

@@ -30,3 +30,55 @@ and maps; `imgu match --warp` draws a found target straight on.
 
 Sources: notes 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
 """
+
+from imgu_ros.vision.processing.borders import Border, border_values, padded, source_index
+from imgu_ros.vision.processing.convolution import convolve, convolve_separable, mean_filtered
+from imgu_ros.vision.processing.derivatives import Derivative, Gradient, gradient
+from imgu_ros.vision.processing.edges import canny, edge_map, edge_strength
+from imgu_ros.vision.processing.histograms import equalised, equalised_locally, histogram
+from imgu_ros.vision.processing.interpolation import Interpolation, checked_size, resized, sampled
+from imgu_ros.vision.processing.points import adjust, full_scale, gamma_corrected, grey_from_rgb, require_range
+from imgu_ros.vision.processing.remapping import remapped
+from imgu_ros.vision.processing.separability import SplitKernel, as_kernel, is_separable, split
+from imgu_ros.vision.processing.thresholding import otsu_threshold, thresholded
+from imgu_ros.vision.processing.warping import Canvas, rotated, rotation_about, warped, whole_picture
+
+__all__ = [
+    "Border",
+    "Canvas",
+    "Derivative",
+    "Gradient",
+    "Interpolation",
+    "SplitKernel",
+    "adjust",
+    "as_kernel",
+    "border_values",
+    "canny",
+    "checked_size",
+    "convolve",
+    "convolve_separable",
+    "edge_map",
+    "edge_strength",
+    "equalised",
+    "equalised_locally",
+    "full_scale",
+    "gamma_corrected",
+    "gradient",
+    "grey_from_rgb",
+    "histogram",
+    "is_separable",
+    "mean_filtered",
+    "otsu_threshold",
+    "padded",
+    "remapped",
+    "require_range",
+    "resized",
+    "rotated",
+    "rotation_about",
+    "sampled",
+    "source_index",
+    "split",
+    "thresholded",
+    "warped",
+    "whole_picture",
+]

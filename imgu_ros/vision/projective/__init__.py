@@ -28,3 +28,152 @@ since h33 may vanish. Degenerate input (singular, coincident, collinear) raises 
 
 Sources: notes 6.1 to 6.5, 7.2, 7.3; Hartley & Zisserman 2004 ("HZ"), chapters 2 and 4.
 """  # noqa: E501
+
+from imgu_ros.vision.projective.checks import Pairs, checked_pairs, finite
+from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
+from imgu_ros.vision.projective.cross_ratio import cross_ratio, cross_ratio_of_lines
+from imgu_ros.vision.projective.decomposition import (
+    AffineParts,
+    HomographyParts,
+    decompose_affine,
+    decompose_homography,
+)
+from imgu_ros.vision.projective.dlt import design_matrix, homography_dlt, normalisation
+from imgu_ros.vision.projective.errors import (
+    algebraic_error,
+    reprojection_error,
+    sampson_error,
+    symmetric_transfer_error,
+    transfer_error,
+)
+from imgu_ros.vision.projective.estimate import estimate_homography, fit_homography, require_spread, unscaled
+from imgu_ros.vision.projective.hierarchy import Invariant, Transformation, classify
+from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.increments import Motion, MotionSums, PlaneMotion, motion_sums
+from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
+from imgu_ros.vision.projective.logarithm import exponential, logarithm
+from imgu_ros.vision.projective.minimal import HomographyModel
+from imgu_ros.vision.projective.misfit import smooth_misfit
+from imgu_ros.vision.projective.points_and_lines import (
+    cartesian,
+    homogeneous,
+    join,
+    line_distances,
+    meet,
+    normalised_lines,
+    normalised_points,
+    points_at_infinity,
+    transform_lines,
+    transform_points,
+)
+from imgu_ros.vision.projective.refine import (
+    HomographyError,
+    SampsonProblem,
+    SymmetricProblem,
+    TransferProblem,
+    derivative_by_h,
+    stepped,
+    tangent_basis,
+)
+from imgu_ros.vision.projective.reprojection import CorrectedPoints, ReprojectionProblem, corrected_points
+from imgu_ros.vision.projective.transform import (
+    area_factor,
+    faces_camera,
+    inverse3,
+    local_jacobian,
+    normalised_homography,
+    transform,
+)
+from imgu_ros.vision.projective.transformations import (
+    affine,
+    cofactors,
+    compose,
+    euclidean,
+    inverse,
+    projective,
+    require_regular,
+    rotation,
+    scaling,
+    shear_x,
+    shear_y,
+    similarity,
+    translation,
+)
+
+__all__ = [
+    "AffineParts",
+    "CondensedHomography",
+    "CorrectedPoints",
+    "HomographyError",
+    "HomographyEstimate",
+    "HomographyModel",
+    "HomographyParts",
+    "Invariant",
+    "Motion",
+    "MotionSums",
+    "Pairs",
+    "PlaneMotion",
+    "ReprojectionProblem",
+    "SampsonProblem",
+    "SymmetricProblem",
+    "TransferProblem",
+    "Transformation",
+    "affine",
+    "algebraic_error",
+    "area_factor",
+    "cartesian",
+    "checked_pairs",
+    "classify",
+    "cofactors",
+    "compose",
+    "condensed_homography",
+    "corrected_points",
+    "cross_ratio",
+    "cross_ratio_of_lines",
+    "decompose_affine",
+    "decompose_homography",
+    "derivative_by_h",
+    "design_matrix",
+    "estimate_homography",
+    "euclidean",
+    "exponential",
+    "faces_camera",
+    "finite",
+    "fit_homography",
+    "homogeneous",
+    "homography_dlt",
+    "homography_inhomogeneous",
+    "inverse",
+    "inverse3",
+    "join",
+    "line_distances",
+    "local_jacobian",
+    "logarithm",
+    "meet",
+    "motion_sums",
+    "normalisation",
+    "normalised_homography",
+    "normalised_lines",
+    "normalised_points",
+    "points_at_infinity",
+    "projective",
+    "reprojection_error",
+    "require_regular",
+    "require_spread",
+    "rotation",
+    "sampson_error",
+    "scaling",
+    "shear_x",
+    "shear_y",
+    "similarity",
+    "smooth_misfit",
+    "stepped",
+    "symmetric_transfer_error",
+    "tangent_basis",
+    "transfer_error",
+    "transform",
+    "transform_lines",
+    "transform_points",
+    "translation",
+    "unscaled",
+]

@@ -22,3 +22,37 @@ The kernels, and which to take:
 
 Sources: notes 3.1 to 3.3; Burt & Adelson 1983; Lindeberg 1990, 1994; Deriche 1993; Farneback & Westin 2006.
 """
+
+import imgu_ros.vision.processing  # noqa: F401  (its edges smooth with this room: it has to come first)
+from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
+from imgu_ros.vision.scale_space.kernels import discrete_gaussian, discrete_reach, sampled_gaussian
+from imgu_ros.vision.scale_space.laplacian import LaplacianPyramid, laplacian_pyramid, reconstructed
+from imgu_ros.vision.scale_space.pyramid import (
+    Level,
+    Pyramid,
+    PyramidKind,
+    band_passed,
+    build_pyramid,
+    enlarged,
+    reduced,
+)
+from imgu_ros.vision.scale_space.recursive import smooth_recursively
+
+__all__ = [
+    "GaussianKernel",
+    "LaplacianPyramid",
+    "Level",
+    "Pyramid",
+    "PyramidKind",
+    "band_passed",
+    "build_pyramid",
+    "discrete_gaussian",
+    "discrete_reach",
+    "enlarged",
+    "laplacian_pyramid",
+    "reconstructed",
+    "reduced",
+    "sampled_gaussian",
+    "smooth",
+    "smooth_recursively",
+]

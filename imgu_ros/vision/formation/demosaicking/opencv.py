@@ -28,7 +28,7 @@ def demosaic_bilinear(raw: Image, pattern: BayerPattern) -> Image:
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.formation.cfa import BayerPattern
+    >>> from imgu_ros.vision.formation import BayerPattern
     >>> raw = np.array([[100, 10, 100], [20, 70, 30], [100, 12, 100]], np.uint8)
     >>> demosaic_bilinear(raw, BayerPattern.RGGB)[1, 1].tolist()
     [100, 18, 70]
@@ -56,7 +56,7 @@ def demosaic_edge_aware(raw: Image, pattern: BayerPattern) -> Image:
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.formation.cfa import BayerPattern
+    >>> from imgu_ros.vision.formation import BayerPattern
     >>> raw = np.array([[100, 10, 100], [20, 70, 20], [100, 90, 100]], np.uint8)
     >>> demosaic_edge_aware(raw, BayerPattern.RGGB)[1, 1].tolist()
     [100, 20, 70]

@@ -60,7 +60,7 @@ def demosaic_residual(raw: Image, pattern: BayerPattern) -> Image:
     Examples
     --------
     >>> import numpy as np
-    >>> from imgu_ros.vision.formation.cfa import BayerPattern
+    >>> from imgu_ros.vision.formation import BayerPattern
     >>> raw = np.tile(np.array([[90, 60], [60, 30]], np.uint8), (4, 4))
     >>> demosaic_residual(raw, BayerPattern.RGGB)[3, 4].tolist()
     [90, 60, 30]

@@ -1,0 +1,93 @@
+"""What each room of vision/ exports, and that importing it stays light."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import inspect
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import imgu_ros.vision
+
+PACKAGE = "imgu_ros.vision"
+ROOMS = [item.name for item in pkgutil.iter_modules(imgu_ros.vision.__path__) if item.ispkg]
+
+
+def _public(room: ModuleType) -> dict[str, object]:
+    """Every public function and class that a module of the room defines."""
+    found: dict[str, object] = {}
+    for item in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
+        module = importlib.import_module(item.name)
+        for name, value in vars(module).items():
+            own = getattr(value, "__module__", None) == module.__name__
+            if own and not name.startswith("_") and (inspect.isfunction(value) or inspect.isclass(value)):
+                assert name not in found, f"{room.__name__}: two modules define {name}"
+                found[name] = value
+    return found
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_a_room_exports_what_is_public_in_it_and_nothing_else(name: str) -> None:
+    room = importlib.import_module(f"{PACKAGE}.{name}")
+    public = _public(room)
+    assert len(public) > 10
+    assert sorted(public) == room.__all__, f"imgu_ros/vision/{name}/__init__.py: imports and __all__ are to be these"
+    for exported in room.__all__:
+        assert getattr(room, exported) is public[exported], exported
+    assert (room.__doc__ or "").strip()
+
+
+def test_every_algorithm_is_reached_by_its_short_path(repository: Path) -> None:
+    with (repository / "docs" / "algorithms.csv").open(newline="", encoding="utf-8") as file:
+        paths = {row["function"] for row in csv.DictReader(file)}
+    assert len(paths) > 150
+    for path in paths:
+        if not path.startswith(f"{PACKAGE}."):
+            continue
+        room, *modules, name = path.removeprefix(f"{PACKAGE}.").split(".")
+        short = importlib.import_module(f"{PACKAGE}.{room}")
+        # A method follows its class, a function its module.
+        owner = next((part for part in modules if part[0].isupper()), None)
+        reached = getattr(getattr(short, owner), name) if owner else getattr(short, name)
+        assert callable(reached) or isinstance(reached, property), path
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_any_room_can_be_imported_first(name: str) -> None:
+    """Rooms import each other's modules: none may need another one to have been imported before it."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", f"from {PACKAGE}.{name} import *"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_package_itself_imports_nothing() -> None:
+    code = f"import sys, {PACKAGE}\nsys.exit(any(name in sys.modules for name in ('numpy', 'cv2', 'scipy')))"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+def test_a_function_named_like_its_module_is_the_function_however_it_is_imported() -> None:
+    code = (
+        f"import {PACKAGE}.formation.demosaic as first\n"
+        f"from {PACKAGE}.formation.demosaic import demosaic as second\n"
+        f"from {PACKAGE}.formation import demosaic as third\n"
+        "assert first is second is third and callable(third)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_short_example() -> None:
+    from imgu_ros.vision.projective import estimate_homography, fit_homography
+    from imgu_ros.vision.projective.estimate import estimate_homography as from_its_module
+
+    assert estimate_homography is from_its_module and callable(fit_homography)
