@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from imgu_ros.codec.pairing import Pair, Pairing
 from imgu_ros.errors import EncodingError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.remarks import Remarks
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 
@@ -69,15 +70,15 @@ class FrameSource:
         info_name = None if self.camera_info_topic is None else self.camera_info_topic.name
         names = [self.image_topic.name] if info_name is None else [self.image_topic.name, info_name]
         pairing: Pairing[BagMessage, Any] = Pairing(expects_camera_info=info_name is not None)
-        is_calibrated, has_remark = True, False
+        remarks = Remarks()
+        has_remark = False
         for pair in self._pairs(pairing, names):
             recorded = _recorded(pair, rectified=self._rectified)
             if recorded.frame.image.remark and not has_remark:
                 has_remark = True
                 self.warnings.append(f"{self.image_topic.name}: {recorded.frame.image.remark}")
-            if is_calibrated and not recorded.reason and recorded.frame.camera is None:
-                is_calibrated = False
-                self.warnings.append(f"uncalibrated: {self._why_uncalibrated(pair)}; homographies, but no poses")
+            if not recorded.reason:
+                self.warnings += remarks.news(self._said_of_camera(pair, recorded.frame))
             yield recorded
         if pairing.unmatched:
             share = f"{pairing.unmatched} of {pairing.matched + pairing.unmatched} images"
@@ -112,12 +113,16 @@ class FrameSource:
             return True
         return False
 
-    def _why_uncalibrated(self, pair: Pair[BagMessage, Any]) -> str:
+    def _said_of_camera(self, pair: Pair[BagMessage, Any], frame: Frame) -> Sequence[str]:
+        if frame.camera is not None:
+            return frame.camera_remarks
+        why = frame.camera_reason or self._why_no_camera_info(pair)
+        return [f"uncalibrated: {why}; homographies, but no poses"]
+
+    def _why_no_camera_info(self, pair: Pair[BagMessage, Any]) -> str:
         if self.camera_info_topic is None:
             return f"the bag has no camera_info beside {self.image_topic.name}"
-        if pair.camera_info is None:
-            return f"{self.camera_info_topic.name} has none for the image at {pair.stamp_ns} ns"
-        return f"{self.camera_info_topic.name} has an all-zero {'P' if self._rectified else 'K'}"
+        return f"{self.camera_info_topic.name} has none for the image at {pair.stamp_ns} ns"
 
 
 def _recorded(pair: Pair[BagMessage, Any], *, rectified: bool) -> RecordedFrame:

@@ -41,7 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of --warp; default: area, the mean over a pixel's area where IMAGE shows more detail than TARGET",
     )  # fmt: skip
     parser.add_argument("--width-m", type=float, metavar="W", help="printed width of the target, m; for the pose")
-    parser.add_argument("--camera-info", type=Path, metavar="YAML", help="calibration of the camera; for the pose")
+    parser.add_argument(
+        "--camera-info",
+        type=Path,
+        metavar="YAML",
+        help="calibration of the camera, of ROS, OpenCV or Kalibr; for the pose",
+    )
     parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="IMAGE is a Bayer mosaic")
     add_parameter_options(parser)
 
@@ -61,6 +66,9 @@ def run(arguments: argparse.Namespace) -> int:
         _check_warp(arguments.warp, frame)
     result = Chain(_with_transfer(parameters, frame), targets).process(frame)
     found = result.targets[0]
+    for line in (frame.camera_reason, *frame.camera_remarks):
+        if line:
+            print(f"imgu: warning: {line}", file=sys.stderr)
     print(described(result))
     if arguments.json:
         from imgu_ros.files.text_files import write_text
@@ -102,7 +110,7 @@ def described(result: Result) -> str:
         )
         lines.append(f"  rotation    ± {', '.join(f'{s:.3f}' for s in np.rad2deg(sigma[3:]))} deg")
     elif target.pose_status:
-        lines.append(f"  no pose     {_no_pose(target)}")
+        lines.append(f"  no pose     {_no_pose(target, result.frame.camera_reason)}")
     lines.append(f"  time        {result.total_ns / 1e6:.1f} ms")
     return "\n".join(lines)
 
@@ -226,23 +234,13 @@ def _frame(arguments: argparse.Namespace) -> Frame:
         layout = PixelLayout(ColorModel.BAYER, BayerPattern(arguments.pattern))
     else:
         layout = PixelLayout(ColorModel.MONO if pixels.ndim == 2 else ColorModel.RGB)
-    camera = None
-    if arguments.camera_info:
-        from imgu_ros.files.camera_info_file import read_camera_info
+    image = RawImage(pixels, layout)
+    if not arguments.camera_info:
+        return Frame(image, 0, "camera", None)
+    from imgu_ros.files.camera_info_file import read_calibration
 
-        camera = read_camera_info(arguments.camera_info)
-        _check_size(arguments, (camera.width, camera.height), (pixels.shape[1], pixels.shape[0]))
-    return Frame(RawImage(pixels, layout), 0, "camera", camera)
-
-
-def _check_size(arguments: argparse.Namespace, camera: tuple[int, int], image: tuple[int, int]) -> None:
-    if camera != image:
-        from imgu_ros.errors import FileError
-
-        raise FileError(
-            f"{arguments.camera_info}: calibrated for {camera[0]} x {camera[1]} px, {arguments.image} has "
-            f"{image[0]} x {image[1]} px; need the same size"
-        )
+    read = read_calibration(arguments.camera_info, image_size=(pixels.shape[1], pixels.shape[0]))
+    return Frame(image, 0, "camera", read.camera, read.reason, read.remarks)
 
 
 def _pose_document(pose: Pose) -> dict[str, object]:
@@ -261,10 +259,11 @@ def _row(row: object) -> str:
     return " ".join(f"{value: .6e}" for value in np.asarray(row))
 
 
-def _no_pose(target: TargetResult) -> str:
+def _no_pose(target: TargetResult, camera_reason: str) -> str:
     words = {
         "ambiguous": "both planar solutions fit",
-        "uncalibrated": "need --camera-info",
         "no_size": "need --width-m",
     }
+    if target.pose_status.value == "uncalibrated" and not camera_reason:
+        words["uncalibrated"] = "need --camera-info"
     return f"{target.pose_status.value}: {words.get(target.pose_status.value, target.reason)}"

@@ -39,9 +39,18 @@ MATCH_DTYPE = np.dtype(
 _MATCH_NUMBERS = ("template_x", "template_y", "image_x", "image_y", "distance")
 
 HOMOGRAPHY_DTYPE = np.dtype(
-    [("target", "i4"), ("h", "f8", (9,)), ("covariance", "f8", (81,)), ("n_inliers", "i4"), ("rms_px", "f4")],
+    [
+        ("target", "i4"),
+        ("h", "f8", (9,)),
+        ("covariance", "f8", (81,)),
+        ("n_inliers", "i4"),
+        ("rms_px", "f4"),
+        ("calibrated", "u1"),
+    ],
     align=True,
 )
+#: Columns without which a table is none of homographies.
+_HOMOGRAPHY_NEEDS = ("target", "h", "covariance", "n_inliers", "rms_px")
 
 
 def keypoints_message(make: MessageFactory, header: Header, keypoints: Keypoints, descriptors: Image | None) -> Any:
@@ -131,8 +140,15 @@ def decode_target_matches(message: Any) -> dict[int, TargetMatches]:
     return {int(number): _target_matches(table[table["target"] == number]) for number in numbers[np.argsort(first)]}
 
 
-def homographies_message(make: MessageFactory, header: Header, targets: Sequence[TargetResult]) -> Any:
-    """Return the homographies as one PointCloud2 with the columns of `HOMOGRAPHY_DTYPE`: a row for each target seen."""
+def homographies_message(
+    make: MessageFactory, header: Header, targets: Sequence[TargetResult], *, calibrated: bool
+) -> Any:
+    """Return the homographies as one PointCloud2 with the columns of `HOMOGRAPHY_DTYPE`: a row for each target seen.
+
+    Parameters
+    ----------
+    calibrated : whether the frame has a camera, so that H leads to the ideal pixels of its lens
+    """
     seen = [target for target in targets if target.homography is not None]
     table = np.zeros(len(seen), HOMOGRAPHY_DTYPE)
     for row, target in zip(table, seen, strict=True):
@@ -143,14 +159,24 @@ def homographies_message(make: MessageFactory, header: Header, targets: Sequence
         row["covariance"] = estimate.covariance.ravel()
         row["n_inliers"] = np.count_nonzero(estimate.inliers)
         row["rms_px"] = estimate.rms_px
+        row["calibrated"] = calibrated
     return point_cloud_message(make, header, table)
 
 
 def decode_homographies(message: Any) -> Table:
-    """Read what `homographies_message` writes, a table with the columns of `HOMOGRAPHY_DTYPE`."""
+    """Read what `homographies_message` writes, a table with the columns of `HOMOGRAPHY_DTYPE`.
+
+    `calibrated` may be missing.
+    """
     table = decode_point_cloud(message)
-    _require(table, HOMOGRAPHY_DTYPE.names or ())
+    _require(table, _HOMOGRAPHY_NEEDS)
     return table
+
+
+def decode_calibrated(message: Any) -> bool:
+    """Return whether the homographies are those of a calibrated camera, as far as `homographies_message` says so."""
+    table = decode_homographies(message)
+    return "calibrated" not in (table.dtype.names or ()) or bool(np.all(table["calibrated"]))
 
 
 def decode_estimates(message: Any, inliers: Mapping[int, int]) -> dict[int, HomographyEstimate]:

@@ -24,7 +24,8 @@ def decode_frame(image_message: Any, camera_info_message: Any | None, *, rectifi
     Raises
     ------
     EncodingError
-        If one of them cannot be read; see `decode_image`, `decode_compressed_image` and `decode_camera_info`.
+        If the image cannot be read; see `decode_image` and `decode_compressed_image`. A camera_info that cannot be
+        used is the frame's `camera_reason`.
     """
     if hasattr(image_message, "encoding"):
         image = decode_image(image_message)
@@ -32,9 +33,9 @@ def decode_frame(image_message: Any, camera_info_message: Any | None, *, rectifi
         image = decode_compressed_image(image_message)
     else:
         raise EncodingError(f"image: {type(image_message).__name__}; need sensor_msgs/Image or CompressedImage")
-    camera = None
-    if camera_info_message is not None:
-        height, width = image.pixels.shape[:2]
-        camera = decode_camera_info(camera_info_message, rectified=rectified, image_size=(width, height))
     header = decode_header(image_message)
-    return Frame(image, header.stamp_ns, header.frame_id, camera)
+    if camera_info_message is None:
+        return Frame(image, header.stamp_ns, header.frame_id, None)
+    height, width = image.pixels.shape[:2]
+    read = decode_camera_info(camera_info_message, rectified=rectified, image_size=(width, height))
+    return Frame(image, header.stamp_ns, header.frame_id, read.camera, read.reason, read.remarks)

@@ -103,7 +103,10 @@ def result_matches_message(make: MessageFactory, result: Result) -> Any | None:
 
 def result_homographies_message(make: MessageFactory, result: Result) -> Any | None:
     """Return `homography`: empty when no target was seen, None when the frame was rejected."""
-    return None if result.reason else homographies_message(make, result_header(result), result.targets)
+    if result.reason:
+        return None
+    calibrated = result.frame.camera is not None
+    return homographies_message(make, result_header(result), result.targets, calibrated=calibrated)
 
 
 def result_status_message(make: MessageFactory, result: Result) -> Any:

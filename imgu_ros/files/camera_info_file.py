@@ -1,48 +1,68 @@
-"""Camera calibration files, in the YAML format of ROS's camera_calibration_parsers."""
+"""Camera calibration files: those of ROS, OpenCV and Kalibr are read, ROS's YAML is written."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
 
-from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.codec.camera_reading import CameraDescription, CameraReading, read_camera
+from imgu_ros.codec.distortion_names import message_name
+from imgu_ros.errors import FileError
+from imgu_ros.files.calibration_formats import described_camera
 from imgu_ros.files.text_files import write_text
 from imgu_ros.types import Floats
-from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_camera
+from imgu_ros.vision.camera.intrinsics import Camera
 
 _MAX_BYTES = 2**20
-#: OpenCV's name for the model that ROS calls equidistant.
-_MODEL_NAMES = {"fisheye": DistortionModel.EQUIDISTANT}
 
 
-def read_camera_info(path: Path | str) -> Camera:
-    """Read the intrinsics from a camera_info YAML file.
+def read_camera_info(path: Path | str, *, rectified: bool = False) -> Camera:
+    """Read the camera of a calibration file.
+
+    Parameters
+    ----------
+    path : a file in one of the formats of `imgu_ros.files.calibration_formats`
+    rectified : of the rectified images: P and no distortion
 
     Raises
     ------
     FileError
-        If the file is missing, no such YAML, or describes no calibrated camera.
+        If the file is missing or none of these formats, or what it says cannot be used.
     """
-    path = Path(path)
-    content = _content(path)
-    K = _matrix(path, content, "camera_matrix", 9).reshape(3, 3)
-    distortion = _matrix(path, content, "distortion_coefficients", None)
-    model = str(content.get("distortion_model") or DistortionModel.PLUMB_BOB)
-    width, height = (_size(path, content, name) for name in ("image_width", "image_height"))
-    if not K.any():
-        raise FileError(f"{path}: camera_matrix is all zero, which means not calibrated; need a calibrated camera")
-    try:
-        return make_camera(K, distortion, _MODEL_NAMES.get(model, model), width, height)
-    except ShapeError as error:
-        raise FileError(f"{path}: {error}") from None
+    read = read_calibration(path, rectified=rectified)
+    if read.camera is None:
+        raise FileError(read.reason)
+    return read.camera
+
+
+def read_calibration(
+    path: Path | str, *, rectified: bool = False, image_size: tuple[int, int] | None = None
+) -> CameraReading:
+    """Read a calibration file as a camera_info message is read: what cannot be used is the reading's reason.
+
+    Parameters
+    ----------
+    path, rectified : see `read_camera_info`
+    image_size : width, height of the image that it is for, px; None: the calibration's own
+
+    Raises
+    ------
+    FileError
+        If the file is missing or none of the formats.
+    """
+    return read_camera(read_description(path), rectified=rectified, image_size=image_size)
+
+
+def read_description(path: Path | str) -> CameraDescription:
+    """Return what a calibration file says; FileError as `read_calibration`."""
+    return described_camera(_text(Path(path)), str(path))[0]
 
 
 def read_camera_name(path: Path | str) -> str:
-    """Return the camera's name in a camera_info YAML file; empty when it has none. FileError as `read_camera_info`."""
-    return str(_content(Path(path)).get("camera_name") or "")
+    """Return the camera's name in a calibration file; empty when it has none. FileError as `read_calibration`."""
+    return described_camera(_text(Path(path)), str(path))[1]
 
 
 def write_camera_info(path: Path | str, camera: Camera, name: str = "camera") -> None:
@@ -64,7 +84,7 @@ def camera_info_text(camera: Camera, name: str = "camera") -> str:
         "image_height": camera.height,
         "camera_name": name,
         "camera_matrix": _rows(camera.K),
-        "distortion_model": str(camera.model),
+        "distortion_model": message_name(camera.model),
         "distortion_coefficients": _rows(camera.distortion[None]),
         "rectification_matrix": _rows(np.eye(3)),
         "projection_matrix": _rows(projection),
@@ -72,43 +92,15 @@ def camera_info_text(camera: Camera, name: str = "camera") -> str:
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
 
 
-def _content(path: Path) -> dict[str, Any]:
+def _text(path: Path) -> str:
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; need a camera_info YAML file")
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+            raise FileError(f"{path}: {path.stat().st_size} bytes; need a calibration file")
+        return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a camera_info YAML file") from None
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = "" if mark is None else f" in line {mark.line + 1}"
-        raise FileError(f"{path}: no YAML{where} ({error.problem}); need a camera_info YAML file") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileError(f"{path}: {' '.join(str(error).split())[:200]}; need a camera_info YAML file") from None
-    if not isinstance(content, dict):
-        raise FileError(f"{path}: holds {type(content).__name__}; need image_width, camera_matrix and so on")
-    return content
-
-
-def _matrix(path: Path, content: dict[str, Any], name: str, count: int | None) -> Floats:
-    entry = content.get(name)
-    data = entry.get("data") if isinstance(entry, dict) else None
-    if not isinstance(data, list):
-        raise FileError(f"{path}: no {name} with data; need a camera_info YAML file")
-    try:
-        values = np.asarray(data, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise FileError(f"{path}: {name}: {str(data)[:80]}; need numbers") from None
-    if values.ndim != 1 or (count is not None and len(values) != count):
-        raise FileError(f"{path}: {name}: {values.size} values; need {count or 'a list'}")
-    return values
-
-
-def _size(path: Path, content: dict[str, Any], name: str) -> int:
-    value = content.get(name)
-    if type(value) is not int or value <= 0:
-        raise FileError(f"{path}: {name}: {value!r}; need a positive integer")
-    return value
+        raise FileError(f"{path}: {error.strerror}; need a calibration file") from None
+    except ValueError:
+        raise FileError(f"{path}: no text; need a calibration file") from None
 
 
 def _rows(matrix: Floats) -> dict[str, object]:

@@ -166,7 +166,7 @@ class Chain:
             return None
         found = TargetResult(target.name, index, Status.TRACKED, matches=_as_matches(alignment))
         with clock.measures(Stage.POSE):
-            return posed(found, target, located(alignment), frame.camera, p)
+            return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason)
 
     def _search_is_due(self, missing: Sequence[int]) -> bool:
         """Whether missing targets are to be looked for: at once when one was just lost or none is in view."""

@@ -18,7 +18,8 @@ class Frame:
     stamp_ns : time of exposure, as the header says, in nanoseconds
     frame_id : the camera's optical frame
     camera : intrinsics; None when the camera is not calibrated, or what camera_info says of it cannot be used
-    camera_reason : why there is no camera, for people; empty when there is one
+    camera_reason : why there is no camera, for people; empty when there is one, or no camera_info either
+    camera_remarks : what people should know of a camera that is used, one line each
     """
 
     image: RawImage
@@ -26,3 +27,4 @@ class Frame:
     frame_id: str
     camera: Camera | None
     camera_reason: str = ""
+    camera_remarks: tuple[str, ...] = ()

@@ -31,7 +31,7 @@ _CONFIRMING_SHARE = 0.8
 
 
 #: What `posed` does, or a part of it.
-Finish = Callable[[TargetResult, Target, Located, Camera | None, Parameters], TargetResult]
+Finish = Callable[[TargetResult, Target, Located, Camera | None, Parameters, str], TargetResult]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,14 +40,16 @@ class Sight:
 
     Attributes
     ----------
-    camera : intrinsics; None when the camera is not calibrated
+    camera : intrinsics; None when there are none that can be used
     pictures : the frame's grey one, at every resolution; None: nothing is refined, nor confirmed by looking
     unit_px : raw px in a pixel of the picture that keypoints were sought in
+    camera_reason : why there is no camera; empty: there is no camera_info
     """
 
     camera: Camera | None
     pictures: Pictures | None
     unit_px: float
+    camera_reason: str = ""
 
 
 def located(
@@ -109,7 +111,7 @@ def located(
         return replace(target, reason=str(error))
     detected = replace(target, status=Status.DETECTED, matches=matches, most_inliers=0)
     with clock.measures(Stage.POSE):
-        return finish(detected, known, place, sight.camera, parameters)
+        return finish(detected, known, place, sight.camera, parameters, sight.camera_reason)
 
 
 def draws(parameters: Parameters, stamp_ns: int, index: int) -> np.random.Generator:

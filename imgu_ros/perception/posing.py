@@ -21,6 +21,8 @@ from imgu_ros.vision.projective.homography import HomographyEstimate
 
 #: A target whose outline covers less than this in the frame is not one.
 _MIN_AREA_PX = 100.0
+#: Why a frame without camera and without a reason for that has no poses.
+NO_CAMERA_INFO = "no calibration: there is no camera_info"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +48,23 @@ def bending(camera: Camera | None) -> Camera | None:
 
 
 def posed(
-    found: TargetResult, target: Target, located: Located, camera: Camera | None, parameters: Parameters
+    found: TargetResult,
+    target: Target,
+    located: Located,
+    camera: Camera | None,
+    parameters: Parameters,
+    camera_reason: str = "",
 ) -> TargetResult:
-    """Complete a result by homography, outline and, where it can be, pose."""
+    """Complete a result by homography, outline and, where it can be, pose.
+
+    Parameters
+    ----------
+    found : what is known so far
+    target, located : which target, and where it is
+    camera : intrinsics; None when there are none that can be used
+    parameters : all parameters
+    camera_reason : why there are none; empty: there is no camera_info
+    """
     homography = located.homography
     outline = seen_outline(target, homography.H)
     lens = bending(camera)
@@ -56,7 +72,7 @@ def posed(
         outline = lens.raw_pixels(outline)
     seen = partial(replace, found, homography=homography, outline=outline)
     if camera is None:
-        return seen(pose_status=PoseStatus.UNCALIBRATED, reason="no calibration: K is zero or there is no camera_info")
+        return seen(pose_status=PoseStatus.UNCALIBRATED, reason=camera_reason or NO_CAMERA_INFO)
     if target.width_m == 0:
         return seen(pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
     try:

@@ -68,7 +68,8 @@ def search(
         known = searched.features_of(target)
         matches = tentative_matches(known, searched.features.described, parameters)
     missing = TargetResult(target.name, index, Status.LOST, matches=matches)
-    sight = Sight(searched.frame.camera, searched.pictures, searched.features.unit_px)
+    frame = searched.frame
+    sight = Sight(frame.camera, searched.pictures, searched.features.unit_px, frame.camera_reason)
     guide = None
     if parameters.matching.guided:
         guide = partial(guided, target, known, searched.features, lens=bending(sight.camera), parameters=parameters)

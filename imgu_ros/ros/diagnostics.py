@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from imgu_ros.codec.diagnostics import HealthEntry, Level
+from imgu_ros.perception.remarks import kind_of
 from imgu_ros.perception.result import PoseStatus, Result
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.input import ImageInput
@@ -103,7 +104,7 @@ def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> It
         first = next(target for target in last.targets if target.status.found)
         yield Cause(Kind.NO_POSE, f"{first.name}: {_POSE_WORDS.get(first.pose_status) or first.reason}")
     if last.frame.camera is None and source.open_s(now) > _PATIENCE_S:
-        yield from _uncalibrated(node, source, worker, now)
+        yield from _uncalibrated(last, node, source, now)
     else:
         yield from camera_info_causes(node, source, now)
 
@@ -124,13 +125,12 @@ def _not_seen(last: Result, source: ImageInput, worker: Worker, now: float) -> I
     )
 
 
-def _uncalibrated(node: Node, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
+def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> Iterator[Cause]:
     effect = "homographies, no poses"
-    topic = source.topics.camera_info
-    if worker.last_had_info:
-        matrix = "P" if worker.parameters is not None and worker.parameters.camera.rectified else "K"
-        said = f"uncalibrated: all-zero {matrix} in camera_info on {topic}"
-        yield Cause(Kind.UNCALIBRATED, f"{said}; {effect}; calibrate the camera (imgu calibrate)")
+    reason = last.frame.camera_reason
+    if reason:
+        said = f"uncalibrated: {reason}, on {source.topics.camera_info}; {effect}"
+        yield Cause(Kind.UNCALIBRATED, f"{said}; correct it, or calibrate the camera (imgu calibrate)", kind_of(reason))
         return
     for cause in camera_info_causes(node, source, now):
         yield Cause(cause.kind, f"uncalibrated: {cause.text}; {effect}")
@@ -190,7 +190,9 @@ def _camera(name: str, found: Sequence[Cause], last: Result | None) -> HealthEnt
     reason = "; ".join(cause.text for cause in found if cause.kind in _OF_CAMERA)
     camera = last.frame.camera
     if camera is None:
-        return HealthEntry(name, Level.WARN, reason or "uncalibrated: no camera_info, or K is all zero", {})
+        said = last.frame.camera_reason or "no camera_info"
+        return HealthEntry(name, Level.WARN, reason or f"uncalibrated: {said}", {})
+    reason = "; ".join((*filter(None, [reason]), *last.frame.camera_remarks))
     values: dict[str, object] = {
         "frame_id": last.frame.frame_id,
         "size": f"{camera.width} x {camera.height}",

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.perception.building import Built
+from imgu_ros.perception.remarks import Remarks
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.ros.cause import Cause
@@ -45,6 +46,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
     def __init__(self, stop: StopSignal) -> None:
         super().__init__("perception", stop)
         self._warned: set[str] = set()
+        self._remarks = Remarks()
         self._input = ImageInput(self, self._server.parameters.image_transport)
         self._worker = Worker(
             self._input.slot,
@@ -130,6 +132,8 @@ class PerceptionNode(ManagedNode[ImageInput]):
             self._log_rejected(result.reason)
         if result.frame.image.remark:
             self._warn_once("image", f"{self._input.topics.image}: {result.frame.image.remark}")
+        for line in self._remarks.news(result.frame.camera_remarks):
+            self.get_logger().warning(line)
         now_ns = self.get_clock().now().nanoseconds
         if now_ns:
             self._worker.age.add((now_ns - result.frame.stamp_ns) / 1e9)

@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from rclpy.node import Node
 
+from imgu_ros.codec.camera_info import decode_camera_info
+from imgu_ros.codec.camera_reading import CameraReading
 from imgu_ros.codec.header import Header
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
@@ -17,12 +19,13 @@ from imgu_ros.perception.targets import Target, TargetImage, known_targets, prep
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.qos import output_qos
 from imgu_ros.ros.stage_input import Feed, StageJob, StageTopics
-from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 IMAGE_TYPE = "sensor_msgs/msg/Image"
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 _CLOUD_DEPTH = 10
+#: Of a frame without camera_info.
+NO_CAMERA = CameraReading(None)
 
 
 class Stage(ABC):
@@ -36,6 +39,7 @@ class Stage(ABC):
     takes : the names of the feeds without which there is nothing to work on
     choice : the topics that it gives
     needs_targets : whether it has to know the targets
+    remarks : of the last frame, what people should know of its camera
     """
 
     name: ClassVar[str]
@@ -43,6 +47,7 @@ class Stage(ABC):
     choice: ClassVar[Choice]
     needs_targets: ClassVar[bool] = False
     parameters: Parameters = Parameters()
+    remarks: tuple[str, ...] = ()
 
     @abstractmethod
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
@@ -124,9 +129,23 @@ def camera_info_beside(node: Node, feed: Feed, own: str = "camera_info") -> str:
     return topic
 
 
-def frame_without_image(header: Header, camera: Camera | None = None) -> Frame:
-    """Return the frame of which other stages have seen the pixels."""
-    return Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, camera)
+def frame_without_image(header: Header, read: CameraReading = NO_CAMERA) -> Frame:
+    """Return the frame of which other stages have seen the pixels, with what became of its camera_info."""
+    return Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, read.camera, read.reason, read.remarks)
+
+
+def unusable(read: CameraReading) -> tuple[str, ...]:
+    """Return the remark that a camera_info cannot be used; empty when it can, or there is none."""
+    return (f"uncalibrated: {read.reason}; homographies, no poses",) if read.reason else ()
+
+
+def read_camera_info(
+    message: Any | None, parameters: Parameters, image_size: tuple[int, int] | None = None
+) -> CameraReading:
+    """Return what became of a camera_info, None: there is none; `image_size` as for `read_camera`."""
+    if message is None:
+        return NO_CAMERA
+    return decode_camera_info(message, rectified=parameters.camera.rectified, image_size=image_size)
 
 
 _NO_IMAGE = RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO))

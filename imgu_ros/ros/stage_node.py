@@ -10,6 +10,7 @@ from imgu_ros.codec.diagnostics import diagnostics_message
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters
+from imgu_ros.perception.remarks import Remarks
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.ros.managed_node import ManagedNode, run_managed
 from imgu_ros.ros.messages import make_message, message_class
@@ -63,6 +64,7 @@ class StageNode(ManagedNode[StageInput]):
         self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
         if stage.needs_targets:
             self._create_slow_service("~/reload", self._reload)
+        self._remarks = Remarks()
         self._between_frames = threading.RLock()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
@@ -152,6 +154,8 @@ class StageNode(ManagedNode[StageInput]):
                         continue
                     self._stage.work(job, self._outputs)
                 self._figures.worked(job.received_s, time.monotonic())
+                for line in self._remarks.news(self._stage.remarks):
+                    self.get_logger().warning(line)
             except ImguError as error:
                 self._figures.rejected(str(error))
                 self._log_rejected(str(error))

@@ -110,7 +110,6 @@ class Worker:
         self._go_on.set()
         self._built: Built | None = None
         self._rebuilder = Rebuilder(handlers.failed)
-        self._last_had_info = False
         self._last: Result | None = None
         self._rejected = 0
         self._unknown_encodings = 0
@@ -138,11 +137,6 @@ class Worker:
     def last(self) -> Result | None:
         """The last frame's result; None before the first."""
         return self._last
-
-    @property
-    def last_had_info(self) -> bool:
-        """Whether the last frame came with a camera_info, whatever that said."""
-        return self._last_had_info
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -257,7 +251,7 @@ class Worker:
         result = chain.process(frame, with_keypoints=self._handlers.needs_keypoints())
         self._rejection = result.reason
         self._rejected += bool(result.reason)
-        self._last, self._last_had_info = result, job.camera_info is not None
+        self._last = result
         now = time.monotonic()
         self.sought.add(result, now)
         if self._closing:

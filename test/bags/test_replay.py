@@ -255,15 +255,22 @@ def test_uncalibrated_is_said_once(
 
 
 @pytest.mark.parametrize("field", [{"k": np.full(9, np.nan)}, {"width": 100, "height": 100}])
-def test_bad_camera_info_rejects_its_frame(
+def test_bad_camera_info_costs_its_frame_the_pose_alone(
     rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path, field: dict[str, object]
 ) -> None:
     def change(index: int, message: Any) -> Any:
         return with_fields(message, **field) if hasattr(message, "k") and index == 2 else message
 
-    summary = replay([rewritten(change)], tmp_path / "out", parameters)
-    assert [row["status"] == "rejected" for row in rows(tmp_path / "out")] == [False, False, True, False, False]
-    assert "camera_info" in summary.reasons[0].reason
+    said: list[str] = []
+    summary = replay([rewritten(change)], tmp_path / "out", parameters, on_warning=said.append)
+    got = rows(tmp_path / "out")
+    assert [row["pose_status"] for row in got] == [*["metric"] * 2, "uncalibrated", *["metric"] * 2]
+    assert all(row["h11"] for row in got)
+    told = [text for text in said if text.startswith("uncalibrated: camera_info: ")]
+    assert len(told) == 1
+    assert told[0] in summary.warnings
+    assert [(reason.status, reason.count) for reason in summary.reasons] == [("uncalibrated", 1)]
+    assert summary.reasons[0].reason in told[0]
 
 
 def test_overwrite_rules(bag: Path, parameters: Parameters, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -196,7 +197,6 @@ def test_not_found_exits_1_with_the_reason(scene: Path, capsys: pytest.CaptureFi
         ("poster.png", "view.png", ["--width-m", "-1"], "widths_m"),
         ("poster.png", "view.png", ["--camera-info", "poster.png"], "poster.png"),
         ("poster.png", "view.png", ["--pattern", "rggb"], "--pattern"),
-        ("poster.png", "poster.png", ["--camera-info", "camera.yaml"], "need the same size"),
         ("poster.png", "view.png", ["--draw", "m.xyz"], "need one of .png"),
         ("poster.png", "view.png", ["--draw", "no/such/folder/m.svg"], "m.svg"),
         ("poster.png", "view.png", ["--warp", "w.svg"], "need one of .png"),
@@ -222,3 +222,28 @@ def test_bad_input_is_one_line(
     assert err.startswith("imgu: error: ")
     assert err.count("\n") == 1
     assert said in err
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ((r"image_width: \d+", "image_width: 320"), "need the same size"),
+        ((r"data: \[\d[^\]]*\]", "data: [1, 0, 0, 0, 1, 0, 0, 0, 1]"), "K is the identity"),
+        ((r"distortion_model: \w+", "distortion_model: ds"), "distortion_model 'ds' is not computed"),
+    ],
+)
+def test_an_unusable_calibration_costs_the_pose_alone(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], says: str
+) -> None:
+    text = (scene / "camera.yaml").read_text()
+    text = re.sub(*change, text, count=1)
+    text = re.sub(r"(distortion_coefficients:\s+rows: 1\s+cols: 5\s+data: )\[[^\]]*\]", r"\1[0.1, 0.1, 0, 0, 0]", text)
+    (tmp_path / "odd.yaml").write_text(text)
+    options = ["--camera-info", str(tmp_path / "odd.yaml"), "--width-m", "0.5", "--json", str(tmp_path / "m.json")]
+    assert main(["match", str(scene / "poster.png"), str(scene / "view.png"), *options]) == 0
+    said = capsys.readouterr()
+    assert [says in line for line in said.err.splitlines()] == [True]
+    found = json.loads((tmp_path / "m.json").read_text())
+    assert (found["pose"], found["pose_status"]) == (None, "uncalibrated")
+    assert says in found["reason"]
+    assert found["H"] is not None

@@ -91,14 +91,17 @@ def test_homographies_arrive_as_they_were(seed):
         estimate = HomographyEstimate(H, generator.normal(size=(9, 9)), inliers, 0.5, 7)
         results.append(TargetResult(f"t{index}", index, Status.DETECTED, homography=estimate))
         counts[index] = len(inliers)
-    found = decode_estimates(homographies_message(make_message, HEADER, results), counts)
+    found = decode_estimates(homographies_message(make_message, HEADER, results, calibrated=True), counts)
     for result in results:
         got, sent = found[result.index], result.homography
         np.testing.assert_array_equal(got.H, sent.H)
         np.testing.assert_array_equal(got.covariance, sent.covariance)
         assert (got.inliers.sum(), got.rms_px) == (sent.inliers.sum(), sent.rms_px)
     counts.pop(1)
-    assert list(decode_estimates(homographies_message(make_message, HEADER, results), counts)) == [0, 2]
+    assert list(decode_estimates(homographies_message(make_message, HEADER, results, calibrated=True), counts)) == [
+        0,
+        2,
+    ]
 
 
 def homography_table(**changes):

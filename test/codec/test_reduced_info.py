@@ -40,7 +40,7 @@ def test_every_reduction_of_the_chain_is_told(width, height, most, calibrated):
 def test_ros_reads_the_camera_of_the_picture_in_it(make):
     camera = make_camera(np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]]), [], DistortionModel.PLUMB_BOB, 640, 480)
     message = reduced_info_message(make, HEADER, camera, Covered(640, 480), Covered(640, 480), Covered(320, 240))
-    seen = decode_camera_info(message, rectified=False, image_size=(320, 240))
+    seen = decode_camera_info(message, rectified=False, image_size=(320, 240)).camera
     # Half as many pixels in the focal length; pixel centres at integers.
     np.testing.assert_allclose(seen.K, [[400, 0, 159.75], [0, 400, 119.75], [0, 0, 1]])
 
@@ -51,7 +51,8 @@ def test_a_further_reduction_leaves_the_message_that_it_is_made_of(make):
     assert (first.binning_x, second.binning_x, second.binning_y) == (1, 4, 4)
     assert (decode_header(first), decode_header(second)) == (HEADER, LATER)
     assert decode_covered(second, Covered(160, 120)) == Covered(640, 480)
-    assert decode_camera_info(second, rectified=False, image_size=(160, 120)) is None
+    read = decode_camera_info(second, rectified=False, image_size=(160, 120))
+    assert (read.camera, read.reason) == (None, "camera_info: K is all zero: the camera is not calibrated")
 
 
 def test_what_a_driver_says_without_any_reduction(make):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from imgu_ros.codec.camera_info import decode_camera_info
+from imgu_ros.codec.camera_reading import CameraReading
 from imgu_ros.codec.features import decode_target_matches, matches_message
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.image import decode_image
@@ -34,6 +34,8 @@ from imgu_ros.ros.stage import (
     cloud_feed,
     frame_without_image,
     picture_feed,
+    read_camera_info,
+    unusable,
 )
 from imgu_ros.ros.stage_input import StageJob, StageTopics
 from imgu_ros.ros.stage_node import run_stage
@@ -81,12 +83,12 @@ class HomographyStage(TargetStage):
         """See `Stage.work`."""
         header = decode_header(job.messages[_MATCHES])
         tentative = decode_target_matches(job.messages[_MATCHES])
-        sight = self._sight(job)
+        sight, read = self._sight(job)
         clock = StageClock()
         places: dict[int, Located] = {}
 
         def finish(
-            found: TargetResult, target: Target, place: Located, camera: Camera | None, parameters: Parameters
+            found: TargetResult, target: Target, place: Located, camera: Camera | None, parameters: Parameters, _: str
         ) -> TargetResult:
             places[found.index] = place
             # The pose is another stage's: of a target of unknown size there is none.
@@ -108,7 +110,7 @@ class HomographyStage(TargetStage):
             for index, target in enumerate(self.targets)
         )
         result = Result(
-            frame_without_image(header, sight.camera),
+            frame_without_image(header, read),
             targets,
             times_ns=clock.times_ns,
             total_ns=sum(clock.times_ns.values()),
@@ -117,7 +119,7 @@ class HomographyStage(TargetStage):
         fitted = [replace(found[index], matches=_agreeing(place)) for index, place in sorted(places.items())]
         outputs.offer(INLIERS, lambda: matches_message(make_message, header, fitted))
 
-    def _sight(self, job: StageJob) -> Sight:
+    def _sight(self, job: StageJob) -> tuple[Sight, CameraReading]:
         pictures = None
         if _PICTURE in job.messages:
             developed = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
@@ -128,11 +130,9 @@ class HomographyStage(TargetStage):
             width, height = size.width, size.height
         else:
             raise ImguError("frame: neither image_mono nor camera_info; need one of them, for its size")
-        camera = None
-        if job.camera_info is not None:
-            rectified = self.parameters.camera.rectified
-            camera = decode_camera_info(job.camera_info, rectified=rectified, image_size=(width, height))
-        return Sight(camera, pictures, reduction_of((height, width), self.parameters).unit_px)
+        read = read_camera_info(job.camera_info, self.parameters, (width, height))
+        self.remarks = unusable(read) or read.remarks
+        return Sight(read.camera, pictures, reduction_of((height, width), self.parameters).unit_px), read
 
 
 def _agreeing(place: Located) -> TargetMatches:

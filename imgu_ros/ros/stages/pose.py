@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from rclpy.node import Node
 
-from imgu_ros.codec.camera_info import decode_camera_info
-from imgu_ros.codec.features import decode_estimates, decode_target_matches
+from imgu_ros.codec.camera_reading import CameraReading
+from imgu_ros.codec.features import decode_calibrated, decode_estimates, decode_target_matches
 from imgu_ros.codec.header import decode_header
-from imgu_ros.codec.reduced_info import image_size
 from imgu_ros.codec.results import result_status_message
 from imgu_ros.errors import EstimationError
 from imgu_ros.params import Parameters
@@ -17,17 +16,24 @@ from imgu_ros.perception.posing import Located, posed
 from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import TargetStage, camera_info_beside, cloud_feed, frame_without_image
+from imgu_ros.ros.stage import (
+    TargetStage,
+    camera_info_beside,
+    cloud_feed,
+    frame_without_image,
+    read_camera_info,
+    unusable,
+)
 from imgu_ros.ros.stage_input import StageJob, StageTopics
 from imgu_ros.ros.stage_node import run_stage
 from imgu_ros.ros.stages.homography import INLIERS
 from imgu_ros.ros.stopping import StopSignal
-from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.projective.homography import HomographyEstimate
 
 STATUS = "pose/status"
 _HOMOGRAPHY = "homography"
 _GIVEN = ("pose", "odom", "path")
+_NOT_THE_IMAGES = "camera_info is not that of the image, says the node homography"
 
 
 def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
@@ -56,13 +62,13 @@ class PoseStage(TargetStage):
         agreeing = decode_target_matches(job.messages[INLIERS])
         counts = {index: len(matches.template_xy) for index, matches in agreeing.items()}
         estimates = decode_estimates(job.messages[_HOMOGRAPHY], counts)
-        camera = None
-        if job.camera_info is not None:
-            size = image_size(job.camera_info)
-            rectified = self.parameters.camera.rectified
-            camera = decode_camera_info(job.camera_info, rectified=rectified, image_size=(size.width, size.height))
-        targets = tuple(self._posed(index, estimates, agreeing, camera) for index in range(len(self.targets)))
-        result = Result(frame_without_image(header, camera), targets)
+        # The image's size is known where the picture is: the homographies say whether camera_info fits it.
+        read = read_camera_info(job.camera_info, self.parameters)
+        if read.camera is not None and not decode_calibrated(job.messages[_HOMOGRAPHY]):
+            read = CameraReading(None, _NOT_THE_IMAGES)
+        self.remarks = unusable(read) or read.remarks
+        targets = tuple(self._posed(index, estimates, agreeing, read) for index in range(len(self.targets)))
+        result = Result(frame_without_image(header, read), targets)
         outputs.publish(result)
         outputs.offer(STATUS, lambda: result_status_message(make_message, result))
 
@@ -71,7 +77,7 @@ class PoseStage(TargetStage):
         index: int,
         estimates: Mapping[int, HomographyEstimate],
         agreeing: Mapping[int, TargetMatches],
-        camera: Camera | None,
+        read: CameraReading,
     ) -> TargetResult:
         target = self.targets[index]
         if index not in estimates:
@@ -80,6 +86,6 @@ class PoseStage(TargetStage):
         place = Located(matches.template_xy, matches.image_xy, estimates[index])
         found = TargetResult(target.name, index, Status.DETECTED, matches=matches)
         try:
-            return posed(found, target, place, camera, self.parameters)
+            return posed(found, target, place, read.camera, self.parameters, read.reason)
         except EstimationError as error:
             return TargetResult(target.name, index, Status.DEGENERATE, reason=str(error), matches=matches)

@@ -18,8 +18,9 @@
 
 Conventions: pixels x right, y down, centres at integers; the camera looks along +z. `pose` means camera_from_object.
 Covariances are of (x y z rx ry rz), with R_true = Exp(r) R. The models of distortion (`distortion`) are ROS's
-`plumb_bob`, `rational_polynomial` and `equidistant`. Each has an inverse up to the radius at which it stops growing
-(`distortion.fold_radius`): `undistort` marks pixels beyond it, where OpenCV's functions return a number all the same.
+`plumb_bob`, `rational_polynomial` and `equidistant`, and OpenCV's `thin_prism` and `tilted`. Each has an inverse up to
+the radius at which it stops growing (`distortion.fold_radius`): `undistort` marks pixels beyond it, where OpenCV's
+functions return a number all the same.
 
 In the chain: camera_info reaches it as a `Camera`; `camera.rectified` says that the images have no distortion any more;
 `poses_of_homography` gives the pose of every target whose patches were aligned, `planar_poses` that of one found by

@@ -5,6 +5,9 @@ All act on normalised coordinates x = X / Z, y = Y / Z. With r^2 = x^2 + y^2:
 - `plumb_bob` (Brown 1966), coefficients k1 k2 p1 p2 k3: radial 1 + k1 r^2 + k2 r^4 + k3 r^6, tangential
   (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2 x y);
 - `rational_polynomial`, k1 k2 p1 p2 k3 k4 k5 k6: the radial part divided by 1 + k4 r^2 + k5 r^4 + k6 r^6;
+- `thin_prism`, the same and s1 s2 s3 s4, and `tilted`, the same and tau_x tau_y: OpenCV's models of 12 and 14
+  coefficients. Thin prism (Weng, Cohen & Herniou 1992): s1 r^2 + s2 r^4 is added to x, s3 r^2 + s4 r^4 to y. The tilt
+  comes last (`imgu_ros.vision.camera.sensor_tilt`);
 - `equidistant` (Kannala & Brandt 2006), k1 k2 k3 k4: with theta = atan r, the distorted radius is
   theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 """
@@ -19,14 +22,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Mask, Points, as_points
+from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
+from imgu_ros.vision.camera.sensor_tilt import tilt_derivatives, tilt_matrix
 
 _MAX_STEPS = 50
 _TOLERANCE = 1e-13  # normalised image units: below 1e-9 px for any real focal length
 _BISECTIONS = 60
 #: A tangential part moves the fold a little off its radius without it.
 _FOLD_MARGIN = 1.2
+#: Coefficients before those of the thin prism, and before the tilt's.
+_PRISM, _TILT = 8, 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +108,14 @@ def unbend(model: DistortionModel | str, coefficients: ArrayLike, bent: ArrayLik
     """
     model, k, bent = _checked(model, coefficients, bent)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        seen = np.ones(len(bent), bool)
+        given = bent
+        if model is DistortionModel.TILTED:
+            # The tilt has an exact inverse.
+            bent, _ = _mapped(np.linalg.inv(tilt_matrix(*k[_TILT:])), bent)
+            seen = np.isfinite(bent).all(axis=1)
+            bent[~seen] = 0.0
+            model, k = DistortionModel.THIN_PRISM, k[:_TILT]
         if model is DistortionModel.EQUIDISTANT:
             # Start from the undistorted equidistant lens; r = tan(theta), kept below 90 degrees.
             theta = np.minimum(np.hypot(bent[:, 0], bent[:, 1]), 1.5)
@@ -116,7 +130,8 @@ def unbend(model: DistortionModel | str, coefficients: ArrayLike, bent: ArrayLik
             again, found = _newton(model, k, bent[missed], _radial_inverse(model, k, bent[missed]))
             found &= np.hypot(again[:, 0], again[:, 1]) <= farthest
             xy[missed], valid[missed] = again, found
-    xy[~valid] = bent[~valid]
+        valid &= seen
+    xy[~valid] = given[~valid]
     return xy, valid
 
 
@@ -191,7 +206,22 @@ def _bend_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:
     jacobian[:, 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
     jacobian[:, 0, 1] = jacobian[:, 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
     jacobian[:, 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    if len(k) > _PRISM:
+        first, second = k[[8, 10]], k[[9, 11]]
+        bent += r2[:, None] * first + (r2 * r2)[:, None] * second
+        jacobian += 2 * (first + 2 * r2[:, None] * second)[:, :, None] * xy[:, None, :]
+    if len(k) > _TILT:
+        bent, by_flat = _mapped(tilt_matrix(*k[_TILT:]), bent)
+        jacobian = by_flat @ jacobian
     return bent, jacobian
+
+
+def _mapped(T: Matrix3, xy: Points) -> tuple[Points, Floats]:
+    """Map points by a homography; also return the derivative, (N, 2, 2). Both are NaN where w is not positive."""
+    mapped = np.column_stack((xy, np.ones(len(xy)))) @ T.T
+    w = np.where(mapped[:, 2:] > 0, mapped[:, 2:], np.nan)
+    to = mapped[:, :2] / w
+    return to, (T[:2, :2] - to[:, :, None] * T[2, :2]) / w[:, :, None]
 
 
 def _by_coefficients(k: Floats, xy: Points) -> Floats:
@@ -200,13 +230,25 @@ def _by_coefficients(k: Floats, xy: Points) -> Floats:
     powers = np.stack((r2, r2**2, r2**3), axis=1)
     denominator = 1 + powers @ k[5:8] if len(k) > 5 else np.ones(len(xy))
     radial = (1 + powers @ k[[0, 1, 4]]) / denominator
-    by_k = np.empty((len(xy), 2, len(k)))
+    by_k = np.zeros((len(xy), 2, len(k)))
     by_k[:, :, [0, 1, 4]] = xy[:, :, None] * (powers / denominator[:, None])[:, None, :]
     by_k[:, 0, 2] = by_k[:, 1, 3] = 2 * x * y
     by_k[:, 0, 3] = r2 + 2 * x * x
     by_k[:, 1, 2] = r2 + 2 * y * y
     if len(k) > 5:
         by_k[:, :, 5:8] = -xy[:, :, None] * (powers * (radial / denominator)[:, None])[:, None, :]
+    if len(k) > _PRISM:
+        by_k[:, 0, 8:10] = by_k[:, 1, 10:12] = powers[:, :2]
+    if len(k) > _TILT:
+        flat, _ = _bend_polynomial(k[:_TILT], xy)
+        T = tilt_matrix(*k[_TILT:])
+        bent, by_flat = _mapped(T, flat)
+        by_k[:, :, :_TILT] = by_flat @ by_k[:, :, :_TILT]
+        homogeneous = np.column_stack((flat, np.ones(len(xy))))
+        by_tilt = homogeneous @ np.swapaxes(tilt_derivatives(*k[_TILT:]), 1, 2)
+        by_k[:, :, _TILT:] = np.moveaxis(
+            (by_tilt[:, :, :2] - bent * by_tilt[:, :, 2:]) / (homogeneous @ T[2])[:, None], 0, 2
+        )
     return by_k
 
 
@@ -235,6 +277,8 @@ def _equidistant_by_coefficients(xy: Points) -> Floats:
 _BENT = {
     DistortionModel.PLUMB_BOB: _bend_polynomial,
     DistortionModel.RATIONAL_POLYNOMIAL: _bend_polynomial,
+    DistortionModel.THIN_PRISM: _bend_polynomial,
+    DistortionModel.TILTED: _bend_polynomial,
     DistortionModel.EQUIDISTANT: _bend_equidistant,
 }
 
@@ -278,6 +322,6 @@ def _radial_inverse(model: DistortionModel, k: Floats, bent: Points) -> Points:
 def _without_tangential(model: DistortionModel, k: Floats) -> Floats:
     if model is DistortionModel.EQUIDISTANT:
         return k
-    radial = k.copy()
+    radial = k[:_PRISM].copy()
     radial[2:4] = 0.0
     return radial

@@ -12,10 +12,16 @@ from imgu_ros.types import Floats
 
 
 class DistortionModel(StrEnum):
-    """Lens distortion models, named as in sensor_msgs/CameraInfo."""
+    """Lens distortion models, named as in sensor_msgs/CameraInfo, and OpenCV's two longer ones.
+
+    sensor_msgs/CameraInfo has no names of its own for `thin_prism` and `tilted`: messages and files call them
+    `rational_polynomial`, with 12 and 14 coefficients.
+    """
 
     PLUMB_BOB = "plumb_bob"
     RATIONAL_POLYNOMIAL = "rational_polynomial"
+    THIN_PRISM = "thin_prism"
+    TILTED = "tilted"
     EQUIDISTANT = "equidistant"
 
 
@@ -23,13 +29,20 @@ class DistortionModel(StrEnum):
 COEFFICIENTS = {
     DistortionModel.PLUMB_BOB: 5,
     DistortionModel.RATIONAL_POLYNOMIAL: 8,
+    DistortionModel.THIN_PRISM: 12,
+    DistortionModel.TILTED: 14,
     DistortionModel.EQUIDISTANT: 4,
 }
 
+_RATIONAL_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_PRISM_NAMES = (*_RATIONAL_NAMES, "s1", "s2", "s3", "s4")
+
 #: The coefficients' names, in order.
 COEFFICIENT_NAMES = {
-    DistortionModel.PLUMB_BOB: ("k1", "k2", "p1", "p2", "k3"),
-    DistortionModel.RATIONAL_POLYNOMIAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    DistortionModel.PLUMB_BOB: _RATIONAL_NAMES[:5],
+    DistortionModel.RATIONAL_POLYNOMIAL: _RATIONAL_NAMES,
+    DistortionModel.THIN_PRISM: _PRISM_NAMES,
+    DistortionModel.TILTED: (*_PRISM_NAMES, "tau_x", "tau_y"),
     DistortionModel.EQUIDISTANT: ("k1", "k2", "k3", "k4"),
 }
 

@@ -27,7 +27,8 @@ class Camera:
     Attributes
     ----------
     K : (3, 3) px
-    distortion : (5,) for plumb_bob, (8,) for rational_polynomial, (4,) for equidistant; zeros: none
+    distortion : (5,) for plumb_bob, (8,) for rational_polynomial, (12,) for thin_prism, (14,) for tilted, (4,) for
+        equidistant; zeros: none
     model : the distortion model
     width, height : image size in px
     covariance : (4 + D, 4 + D) of fx, fy, cx, cy and the D numbers of `distortion`; None: taken as exact
@@ -126,7 +127,7 @@ def make_camera(K: ArrayLike, distortion: ArrayLike, model: DistortionModel | st
     ----------
     K : (3, 3) px, upper triangular with K[2, 2] = 1 and positive focal lengths
     distortion : coefficients, as many as the model has or fewer (the missing ones are 0)
-    model : plumb_bob, rational_polynomial or equidistant
+    model : plumb_bob, rational_polynomial, thin_prism, tilted or equidistant
     width, height : px, positive
 
     Raises

@@ -45,6 +45,7 @@ from imgu_ros.vision.camera.rotation import (
 )
 from imgu_ros.vision.camera.rotation_model import RotationModel, estimate_rotation
 from imgu_ros.vision.camera.rotation_view import rotation_from_homography, rotation_homography
+from imgu_ros.vision.camera.sensor_tilt import tilt_derivatives, tilt_matrix
 from imgu_ros.vision.camera.view_choice import choose_views
 
 Generator = np.random.Generator
@@ -161,6 +162,8 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     bend_with_derivatives: lambda rng: {"model": MODEL, "coefficients": lens(), "xy": rng.uniform(-0.5, 0.5, (6, 2))},
     unbend: lambda rng: {"model": MODEL, "coefficients": lens(), "bent": rng.uniform(-0.5, 0.5, (6, 2))},
     fold_radius: lambda rng: {"model": MODEL, "coefficients": np.array([-0.5, 0, 0, 0, 0.01])},
+    tilt_matrix: lambda rng: {"tau_x": 0.1, "tau_y": -0.05},
+    tilt_derivatives: lambda rng: {"tau_x": 0.1, "tau_y": -0.05},
     make_camera: lambda rng: {"K": K(), "distortion": lens(), "model": "plumb_bob", "width": 640, "height": 480},
     Camera.project: lambda rng: {"self": camera(), "points": box(rng) + (0, 0, 2)},
     Camera.project_with_jacobian: lambda rng: {"self": camera(), "points": box(rng) + (0, 0, 2)},

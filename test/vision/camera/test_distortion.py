@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,6 +17,8 @@ from imgu_ros.vision.camera.intrinsics import make_camera
 LENSES = {
     "plumb_bob": (-0.26, 0.09, 0.0008, -0.0005, -0.01),
     "rational_polynomial": (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01),
+    "thin_prism": (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01, 0.004, -0.002, 0.003, 0.001),
+    "tilted": (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01, 0.004, -0.002, 0.003, 0.001, 0.06, -0.04),
     "equidistant": (-0.03, 0.008, -0.004, 0.001),
 }
 #: Focal length and lens: strong ones, of 70 to 120 degrees, barrel, pincushion and tangential.
@@ -24,6 +27,9 @@ STRONG = [
     (620, "plumb_bob", (0.5, 0.2, -0.003, 0.004, 0.1)),
     (750, "plumb_bob", (-0.28, 0.07, 0.01, 0.01, 0.0)),
     (620, "rational_polynomial", (5.2, 2.6, 0.0003, 0.0002, 0.11, 5.5, 4.4, 0.7)),
+    (620, "thin_prism", (*LENSES["rational_polynomial"], 0.03, -0.01, -0.02, 0.01)),
+    (700, "tilted", (*LENSES["thin_prism"], 0.2, -0.15)),
+    (700, "tilted", (-0.28, 0.07, 0.01, 0.01, *[0.0] * 8, -0.1, 0.25)),
     (620, "equidistant", (0.05, -0.02, 0.01, -0.003)),
     (900, "equidistant", (-0.2, 0.02, 0.0, 0.0)),
 ]
@@ -64,7 +70,7 @@ def test_every_ray_within_the_fold_comes_back(model: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     k = np.array(LENSES[model]) * rng.uniform(-1.5, 1.5, COEFFICIENTS[DistortionModel(model)])
     if model != "equidistant":
-        k[2:4] = 0  # the fold is a circle
+        k[2:4] = k[8:] = 0  # the fold is a circle
     fold = min(fold_radius(model, k), 3.0)
     angle, r = rng.uniform(-np.pi, np.pi, 50), rng.uniform(0, 0.97 * fold, 50)
     xy = np.column_stack((r * np.cos(angle), r * np.sin(angle)))
@@ -113,6 +119,46 @@ def test_newton_that_leaves_the_range_is_helped() -> None:
     back, valid = unbend("plumb_bob", k, bend("plumb_bob", k, xy)[0])
     assert valid.all()
     assert_allclose(back, xy, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+def test_long_models_are_those_of_opencv(count: int) -> None:
+    """Points and their derivatives by cv2.projectPoints, the way back by cv2.undistortPoints."""
+    names = {4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial", 12: "thin_prism", 14: "tilted"}
+    model = names[count]
+    rng = np.random.default_rng(count)
+    for strength in (0.2, 1.0, -0.5):
+        k = np.array(LENSES["tilted"][:count]) * strength
+        xy = rng.uniform(-0.7, 0.7, (100, 2))
+        rays = np.column_stack((xy, np.ones(100)))
+        expected, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), k)
+        bent = bend_with_derivatives(model, k, xy)
+        assert_allclose(bent.xy, expected[:, 0], atol=1e-14)
+        # OpenCV's columns: rvec, tvec, f, c, then the coefficients.
+        by_k = bent.by_coefficients[:, :, :count].reshape(200, -1)
+        assert_allclose(by_k, jacobian[:, 10 : 10 + count], atol=1e-12)
+        back = _undistorted(expected, k)
+        ours, valid = unbend(model, k, expected[:, 0])
+        assert valid.all()
+        assert_allclose(ours, xy, atol=1e-10)
+        assert_allclose(ours, back, atol=1e-6)
+
+
+def _undistorted(bent: np.ndarray, k: np.ndarray) -> np.ndarray:
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-14)
+    if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+        return cv2.undistortPointsIter(bent, np.eye(3), k, np.eye(3), np.eye(3), criteria)[:, 0]
+    return cv2.undistortPoints(bent, np.eye(3), k, R=np.eye(3), P=np.eye(3), criteria=criteria)[:, 0]
+
+
+def test_a_tilted_sensor_sees_no_light_from_behind() -> None:
+    k = np.zeros(14)
+    k[12] = 1.2
+    xy, valid = unbend("tilted", k, [[0.1, 0.1], [0.0, 5.0], [0.0, -5.0]])
+    assert valid.tolist() in ([True, True, False], [True, False, True])
+    assert np.isfinite(xy).all()
+    with pytest.raises(ShapeError, match="faces the lens"):
+        bend("tilted", [*[0.0] * 12, 2.0, 0.0], [[0.0, 0.0]])
 
 
 def test_names_and_bad_input() -> None:
