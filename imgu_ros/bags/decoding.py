@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from rosbags.interfaces import Nodetype
@@ -14,10 +14,14 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from imgu_ros.bags.compression import decompressed_message
 from imgu_ros.bags.messages import make_message, message_layout, typestore
 from imgu_ros.bags.storage import Channel, RawMessage, Serialization
+from imgu_ros.bags.text import ascii_patched
 from imgu_ros.errors import BagError
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
+
+#: Texts of one message that may be something else than UTF-8; more of them are garbage.
+_MOST_PATCHES = 20
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
@@ -49,7 +53,7 @@ class MessageDecoder:
         if channel.serialization != Serialization.ROS1:
             return message_from_cdr(channel.type_name, data, store)
         with _as_bag_errors(channel.type_name):
-            message = store.deserialize_ros1(data, channel.type_name)
+            message = _deserialized(store.deserialize_ros1, data, channel.type_name)
             return _as_ros2(message, channel.type_name) if channel.type_name in typestore().fielddefs else message
 
     def cdr(self, raw: RawMessage) -> bytes:
@@ -96,7 +100,20 @@ def message_from_cdr(type_name: str, data: bytes | memoryview, store: Typestore 
     """
     with _as_bag_errors(type_name):
         # A view, so that rosbags does not copy the message to strip the encapsulation.
-        return (store or typestore()).deserialize_cdr(memoryview(data), type_name)
+        return _deserialized((store or typestore()).deserialize_cdr, memoryview(data), type_name)
+
+
+def _deserialized(deserialize: Callable[[Any, str], Any], data: bytes | memoryview, type_name: str) -> Any:
+    """Deserialise; text in a message that is not UTF-8 (a frame_id, a format) does not cost the message."""
+    for _ in range(_MOST_PATCHES):
+        try:
+            return deserialize(data, type_name)
+        except Exception as error:
+            cause = error.__cause__
+            if not isinstance(cause, UnicodeDecodeError):
+                raise
+            data = ascii_patched(data, cause.object)
+    return deserialize(data, type_name)
 
 
 @contextmanager
@@ -124,9 +141,15 @@ def _typestore_of(channel: Channel) -> Typestore:
             return store
         except Exception as error:  # whatever a damaged or exotic definition provokes in the parser
             reason = f"its definition cannot be read ({_one_line(error)})"
-    if channel.type_name in typestore().fielddefs and channel.serialization == Serialization.CDR:
-        return typestore()
+    usual = typestore() if channel.serialization == Serialization.CDR else _ros1_typestore()
+    if channel.type_name in usual.fielddefs:
+        return usual
     raise BagError(f"type {channel.type_name or 'unknown'}: {reason}")
+
+
+@cache
+def _ros1_typestore() -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC)
 
 
 def _types_from_msg(channel: Channel) -> dict[str, Any]:

@@ -7,12 +7,13 @@ bytes.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
 from imgu_ros.bags.chunks import ChannelRecord, MessageRecord, Record, SchemaRecord
 from imgu_ros.bags.storage import MAX_TIME_NS
+from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -57,8 +58,21 @@ class ChunkHeader:
     data_offset: int
 
 
-def schema_record(content: bytes) -> SchemaRecord:
-    """Parse a schema record's content; BagError when it does not hold."""
+def definition_record(opcode: int, content: bytes) -> SchemaRecord | ChannelRecord | None:
+    """Return what a schema or channel record defines; None for another record, and for one that does not hold.
+
+    A definition that cannot be read costs the messages of its channels, never those of others.
+    """
+    parse = _DEFINITIONS.get(opcode)
+    if parse is None:
+        return None
+    try:
+        return parse(content)
+    except BagError:
+        return None
+
+
+def _schema_record(content: bytes) -> SchemaRecord:
     (identity,) = _unpacked(_U16, content, 0)
     name, at = _string(content, 2)
     encoding, at = _string(content, at)
@@ -66,13 +80,18 @@ def schema_record(content: bytes) -> SchemaRecord:
     return SchemaRecord(identity, name, encoding, text)
 
 
-def channel_record(content: bytes) -> ChannelRecord:
-    """Parse a channel record's content; BagError when it does not hold."""
+def _channel_record(content: bytes) -> ChannelRecord:
     (identity,) = _unpacked(_U16, content, 0)
     (schema_id,) = _unpacked(_U16, content, 2)
     topic, at = _string(content, 4)
     encoding, _ = _string(content, at)
     return ChannelRecord(identity, schema_id, topic, encoding)
+
+
+_DEFINITIONS: dict[int, Callable[[bytes], SchemaRecord | ChannelRecord]] = {
+    Opcode.SCHEMA: _schema_record,
+    Opcode.CHANNEL: _channel_record,
+}
 
 
 def chunk_header(head: bytes, length: int) -> ChunkHeader:
@@ -137,10 +156,8 @@ def mcap_records(data: bytes) -> Iterator[Record]:
             else:  # a copy, so that a small message does not keep the whole chunk in memory
                 content = data[start + _MESSAGE.size : end]
             yield MessageRecord(channel_id, time_ns, content)
-        elif opcode == Opcode.SCHEMA:
-            yield schema_record(data[start:end])
-        elif opcode == Opcode.CHANNEL:
-            yield channel_record(data[start:end])
+        elif (definition := definition_record(opcode, data[start:end])) is not None:
+            yield definition
         at = end
 
 
@@ -156,7 +173,4 @@ def _string(data: bytes, at: int) -> tuple[str, int]:
     end = at + 4 + length
     if end > len(data):
         raise BagError(f"text of {length} bytes at byte {at}; {len(data) - at - 4} are there")
-    try:
-        return data[at + 4 : end].decode(), end
-    except UnicodeDecodeError:
-        raise BagError(f"text at byte {at} is not UTF-8") from None
+    return text_of(data[at + 4 : end]), end

@@ -16,11 +16,10 @@ from imgu_ros.bags.mcap_format import (
     PREFIX,
     ChunkHeader,
     Opcode,
-    channel_record,
     chunk_header,
+    definition_record,
     indexed_count,
     message_time,
-    schema_record,
 )
 from imgu_ros.bags.storage import MAX_BYTES
 from imgu_ros.errors import BagError
@@ -95,8 +94,11 @@ class _Walk:
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             if length > MAX_BYTES:
                 raise BagError(f"definition of {length} bytes at byte {at}")
-            content = self.file.read(at + PREFIX.size, length)
-            self.found.define(schema_record(content) if opcode == Opcode.SCHEMA else channel_record(content))
+            definition = definition_record(opcode, self.file.read(at + PREFIX.size, length))
+            if definition is not None:
+                self.found.define(definition)
+            elif not self.is_followed(end):  # not even its length is right
+                raise BagError(f"definition at byte {at} cannot be read")
         elif opcode == Opcode.FOOTER:
             self.found.is_complete = True
         return end
@@ -163,8 +165,14 @@ class _Walk:
                 return chunk_header(head, length).compression in ("", "zstd", "lz4")
             if not self.is_likely_message(*message_time(head, length)):
                 return False
-            following = self.file.read(end, min(PREFIX.size, self.file.size - end))
-            opcode, length = self.prefix(following)
-            return opcode <= _LAST_KNOWN_OPCODE and end + PREFIX.size + length <= self.file.size
+            return self.is_followed(end)
         except BagError:
             return False
+
+    def is_followed(self, end: int) -> bool:
+        """Whether another record begins where one ends."""
+        try:
+            opcode, length = self.prefix(self.file.read(end, min(PREFIX.size, self.file.size - end)))
+        except BagError:
+            return False
+        return opcode <= _LAST_KNOWN_OPCODE and end + PREFIX.size + length <= self.file.size

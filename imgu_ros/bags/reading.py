@@ -214,6 +214,8 @@ def _require_different(paths: Sequence[Path]) -> None:
     """Refuse a bag, or a file of a bag, beside itself: every frame would come twice."""
     known: dict[Path, Path] = {}
     for path in map(Path, paths):
+        if path.parts and path.parts[0] == "file:":
+            raise BagError(f"{path}: a URL; need a path, {_NEED.removeprefix('need ')}")
         real = path.resolve()
         real = real.parent if real.name == METADATA else real
         for earlier, given in known.items():

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 
 from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.chunks import ChannelRecord, ChunkIndex, Gap, MessageRecord, Record, SchemaRecord, Stretch
 from imgu_ros.bags.storage import MAX_BYTES, Serialization
+from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -61,7 +63,7 @@ class RecordHeader:
         """Return a field's text; BagError when there is none."""
         if name not in self.fields:
             raise BagError(f"record has no field {name!r}")
-        return self.fields[name].decode(errors="replace")
+        return text_of(self.fields[name])
 
     def time_ns(self) -> int:
         """Return the time of a message in ns; BagError when there is none."""
@@ -174,13 +176,22 @@ def _count(chunk: Stretch, connection: int, entries: bytes) -> None:
 
 
 def _definitions(header: RecordHeader, data: bytes) -> Iterator[SchemaRecord | ChannelRecord]:
-    """Yield what a connection record defines."""
-    identity = header.number("conn")
-    fields = _fields(data, len(data))
-    name = fields.get("type", b"").decode(errors="replace")
-    text = fields.get("message_definition", b"").decode(errors="replace")
-    yield SchemaRecord(identity, name, "ros1msg", text)
-    yield ChannelRecord(identity, identity, header.text("topic"), Serialization.ROS1)
+    """Yield what a connection record defines; of one that cannot be read, what can be.
+
+    Its data are a header as of a connection between nodes: callerid, md5sum, latching and others that nobody reads.
+    """
+    fields: dict[str, bytes] = {}
+    try:
+        identity = header.number("conn")
+    except BagError:
+        return
+    with suppress(BagError):
+        _take_fields(fields, data, len(data))
+    yield SchemaRecord(
+        identity, text_of(fields.get("type", b"")), "ros1msg", text_of(fields.get("message_definition", b""))
+    )
+    topic = header.fields.get("topic") or fields.get("topic", b"")
+    yield ChannelRecord(identity, identity, text_of(topic), Serialization.ROS1)
 
 
 def _recovered(found: ChunkIndex, file: ByteFile, broken: int) -> int:
@@ -211,18 +222,23 @@ def _is_chunk(file: ByteFile, at: int) -> bool:
 
 
 def _fields(data: bytes, length: int) -> dict[str, bytes]:
+    fields: dict[str, bytes] = {}
+    _take_fields(fields, data, length)
+    return fields
+
+
+def _take_fields(fields: dict[str, bytes], data: bytes, length: int) -> None:
+    """Add the fields of a header; BagError where they break off."""
     if len(data) != length:
         raise BagError(f"record header of {length} bytes; {len(data)} are there")
-    fields: dict[str, bytes] = {}
     at = 0
     while at < length:
         size = _u32(data, at)
         name, separator, value = data[at + 4 : at + 4 + size].partition(b"=")
         if at + 4 + size > length or not separator:
             raise BagError(f"record field at byte {at} of {size} bytes cannot be parsed")
-        fields[name.decode(errors="replace")] = value
+        fields[text_of(name)] = value
         at += 4 + size
-    return fields
 
 
 def _u32(data: bytes, at: int) -> int:

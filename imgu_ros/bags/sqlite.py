@@ -5,11 +5,13 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from rosbags.typesys.msg import normalize_msgtype
 
 from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds
+from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
 
 _BY_TIME, _BY_ID = "timestamp, id", "id"
@@ -76,19 +78,34 @@ class SqliteStorage:
         missing = {"topics", "messages"} - tables
         if missing:
             raise BagError(f"{self._path}: no table {sorted(missing)[0]!r}; need rosbag2's tables topics and messages")
-        schemas: dict[str, tuple[str, str]] = {}
-        if "message_definitions" in tables:
-            query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            schemas = {_text(name): (_text(form), _text(text)) for name, form, text in self._database.execute(query)}
+        schemas = self._schemas() if "message_definitions" in tables else {}
         channels: dict[int, Channel] = {}
-        for identity, topic, kind, encoding in self._database.execute(
-            "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
-        ):
-            type_name = _text(kind)
-            form, text = schemas.get(type_name, ("", ""))
+        # All columns: older files lack the last ones, and SQLite takes a column that is not there for a text.
+        cursor = self._database.execute("SELECT * FROM topics ORDER BY id")
+        for row in _rows_by_name(cursor):
+            type_name = _text(row.get("type"))
+            given = row.get("type_description_hash")
+            form, text = schemas.get((type_name, _text(given)), schemas.get((type_name, ""), ("", "")))
             normal = normalize_msgtype(type_name) if "/" in type_name else type_name
-            channels[identity] = Channel(_text(topic), normal, _text(encoding), form, text)
+            encoding = _text(row.get("serialization_format"))
+            channels[row["id"]] = Channel(_text(row.get("name")), normal, encoding, form, text)
         return channels
+
+    def _schemas(self) -> dict[tuple[str, str], tuple[str, str]]:
+        """Return format and text of the definitions by type and by the type's hash; without a hash, the first counts.
+
+        Types of two packages' versions have one name; whatever is wrong with this table, the messages are there.
+        """
+        schemas: dict[tuple[str, str], tuple[str, str]] = {}
+        try:
+            cursor = self._database.execute("SELECT * FROM message_definitions ORDER BY id")
+            for row in _rows_by_name(cursor):
+                definition = _text(row.get("encoding")), _text(row.get("encoded_message_definition"))
+                for given in (_text(row.get("type_description_hash")), ""):
+                    schemas.setdefault((_text(row.get("topic_type")), given), definition)
+        except sqlite3.DatabaseError as error:
+            self._warnings.add(f"{self._name}: its message definitions cannot be read ({error}); those of ROS 2 serve")
+        return schemas
 
     def _summary(self) -> tuple[dict[int, int], int, int]:
         """Return the messages by topic's id, and the first and last time."""
@@ -173,5 +190,13 @@ def _connected(path: Path) -> sqlite3.Connection:
         raise BagError(f"{path}: {error}; need a readable SQLite file") from None
 
 
+def _rows_by_name(cursor: sqlite3.Cursor) -> Iterator[dict[str, Any]]:
+    names = [str(column[0]) for column in cursor.description]
+    for row in cursor:
+        yield dict(zip(names, row, strict=True))
+
+
 def _text(value: object) -> str:
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+    if value is None:
+        return ""
+    return text_of(value) if isinstance(value, bytes) else str(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 import zlib
 from dataclasses import dataclass, field
@@ -160,3 +161,42 @@ def serialized():
         return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
     return serialize
+
+
+#: Columns of `topics` in the versions of rosbag2's schema, and of `message_definitions`.
+TOPICS = {
+    1: "id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT",
+    2: "id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT",
+    4: "id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT, "
+    "type_description_hash TEXT",
+}
+MESSAGE_DEFINITIONS = (
+    "id INTEGER PRIMARY KEY, topic_type TEXT, encoding TEXT, encoded_message_definition TEXT, "
+    "type_description_hash TEXT"
+)
+
+
+@pytest.fixture(scope="session")
+def write_sqlite():
+    def write(path, version, rows, definitions, messages, definition_columns=MESSAGE_DEFINITIONS):
+        """A .db3 as rosbag2 has it, whatever bytes its texts are; definitions None: without their table."""
+        count = TOPICS[version].count(",")
+        marks = ", ".join(["CAST(? AS TEXT)"] * count)
+        database = sqlite3.connect(path)
+        database.execute(f"CREATE TABLE topics({TOPICS[version]})")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        for identity, row in enumerate(rows, 1):
+            database.execute(f"INSERT INTO topics VALUES({identity}, {marks})", row[:count])
+        if definitions is not None:
+            database.execute(f"CREATE TABLE message_definitions({definition_columns})")
+            for row in definitions:
+                values = ", ".join(["CAST(? AS TEXT)"] * len(row))
+                database.execute(f"INSERT INTO message_definitions VALUES(NULL, {values})", row)
+        for topic, time_ns, data in messages:
+            database.execute("INSERT INTO messages VALUES(NULL, ?, ?, ?)", (topic, time_ns, data))
+        database.commit()
+        database.close()
+
+    return write

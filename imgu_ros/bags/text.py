@@ -1,0 +1,41 @@
+"""Text in recordings: UTF-8 by every format's rules, and not always in fact (comments of definitions, names)."""
+
+from __future__ import annotations
+
+import codecs
+
+_MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
+
+
+def text_of(data: bytes) -> str:
+    """Return bytes as text, whatever they are: no text in a recording is worth the data beside it.
+
+    They are read as a byte order mark says, else as UTF-8, else as Windows-1252, which Latin-1 is a part of; bytes that
+    are not even that, as Latin-1. Different bytes give different text, so that names stay apart.
+    """
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return data[len(mark) :].decode(encoding, "replace")
+    for encoding in ("utf-8", "cp1252"):
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1")
+
+
+def ascii_patched(data: bytes | memoryview, text: bytes) -> bytes:
+    """Return `data` with the bytes of the first `text` in it that are not UTF-8 replaced by question marks.
+
+    For deserialisers that take nothing but UTF-8: lengths and places in the data stay what they are.
+    """
+    whole = bytes(data)
+    at = whole.find(text)
+    patched = bytearray(text)
+    while True:
+        try:
+            patched.decode()
+        except UnicodeDecodeError as error:
+            patched[error.start : error.end] = b"?" * (error.end - error.start)
+        else:
+            return whole[:at] + patched + whole[at + len(text) :]
