@@ -163,7 +163,7 @@ def _chosen(
         for view in found
         if (view.width, view.height) != (width, height)
     ]
-    indices = choose_views([view.corners for view in fitting], width, height, most)
+    indices = choose_views([view.corners for view in fitting], width, height, most, board_xy=board.corners())
     refused += [
         RefusedPicture(view.name, "like another view" if len(indices) < most else f"beyond {most} views")
         for index, view in enumerate(fitting)
@@ -172,9 +172,10 @@ def _chosen(
     if len(indices) < FEWEST_VIEWS:
         reasons = Counter(picture.reason for picture in refused)
         others = "".join(f"; {count} x {reason}" for reason, count in reasons.most_common(3))
+        shown = f"{len(found)} picture{'s show' if len(found) > 1 else ' shows'} {len(indices)} different view"
         raise TooFewPoints(
-            f"views: {len(indices)} different ones of the {board.columns}x{board.rows} board; "
-            f"need {FEWEST_VIEWS}{others}"
+            f"views: {shown}{'s' * (len(indices) > 1)} of the {board.columns}x{board.rows} board; need at least "
+            f"{FEWEST_VIEWS}, tilted in different directions{others}"
         )
     return BoardViews(width, height, tuple(fitting[i] for i in indices), tuple(refused))
 

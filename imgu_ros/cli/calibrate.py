@@ -23,6 +23,8 @@ HELP = "calibrate a camera from views of a chessboard: a camera_info YAML with i
 
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
 _SHOWN_REASONS = 8
+#: Views whose tilt differs by less are warned of.
+_LEAST_TILT_DEG = 15.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -163,9 +165,23 @@ def warnings_of(calibration: Calibration, found: BoardViews) -> list[str]:
     share = 100 * float((calibration.sigma[:2] / camera.K[(0, 1), (0, 1)]).max())
     if share > 1:
         warnings.append(f"the focal length is known to {share:.1f} % only; need views tilted by 20 to 50 degrees")
+    tilt = tilt_spread(calibration)
+    if tilt < _LEAST_TILT_DEG:
+        warnings.append(
+            f"the board's tilt differs by {tilt:.0f} degrees at most: one tilt tells little of the focal length; need "
+            "views tilted by 20 to 50 degrees in different directions"
+        )
     if len(calibration.views) < 8:
         warnings.append(f"{len(calibration.views)} views; need ten or more for a good calibration")
     return warnings
+
+
+def tilt_spread(calibration: Calibration) -> float:
+    """Return the largest angle between the board's normals in two of the views, in degrees."""
+    import numpy as np
+
+    normals = np.stack([view.pose.R[:, 2] for view in calibration.views])
+    return float(np.rad2deg(np.arccos(np.clip((normals @ normals.T).min(), -1, 1))))
 
 
 def document(calibration: Calibration, found: BoardViews, board: Chessboard) -> dict[str, object]:

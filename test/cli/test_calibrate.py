@@ -19,6 +19,8 @@ from imgu_ros.params import Parameters
 from imgu_ros.simulate.chessboard import draw_chessboard, random_chessboard_view
 from imgu_ros.vision.camera.chessboard import Chessboard
 from imgu_ros.vision.camera.intrinsics import make_camera
+from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 
 BOARD = Chessboard(7, 5, 0.03)
@@ -135,6 +137,36 @@ def write_bag(path: Path, greys: list[np.ndarray], repeated: int) -> None:
             writer.write(connection, index * 10**9, store.serialize_cdr(message, "sensor_msgs/msg/Image"))
 
 
+def test_copies_are_refused(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same picture six times, as files and as the frames of a bag in which nothing moves."""
+    one, rng = read_image(pictures / "view0.png"), np.random.default_rng(0)
+    folders = {name: tmp_path / name for name in ("same", "jpeg", "noise")}
+    for folder in folders.values():
+        folder.mkdir()
+    for index in range(6):
+        (folders["same"] / f"{index}.png").write_bytes((pictures / "view0.png").read_bytes())
+        write_image(folders["jpeg"] / f"{index}.jpg", one, quality=95 - 10 * index)
+        noisy = np.clip(one + rng.normal(0, 4, one.shape), 0, 255).astype(np.uint8)
+        write_image(folders["noise"] / f"{index}.png", noisy)
+    write_bag(tmp_path / "bag", [one], repeated=30)
+    for path, count in ((folders["same"], 6), (folders["jpeg"], 6), (folders["noise"], 6), (tmp_path / "bag", 30)):
+        assert calibrate(path, *OPTIONS, "--out", tmp_path / "c.yaml") == 1
+        assert f"{count} pictures show 1 different view of the 7x5 board; need at least 3" in capsys.readouterr().err
+        assert not (tmp_path / "c.yaml").exists()
+
+
+def test_one_tilt_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(1)
+    for index in range(9):
+        R = exp_so3(rng.normal(0, 0.05, 3) + (0.6, 0, 0))
+        t = np.array([0.12 * (index % 3 - 1), 0.07 * (index // 3 - 1), 0.45])
+        centre = BOARD.corners().mean(axis=0)
+        pose = RigidTransform(R, t - R[:, :2] @ centre)
+        write_image(tmp_path / f"{index}.png", draw_chessboard(BOARD, CAMERA, pose, 2.0, rng))
+    assert calibrate(tmp_path, *OPTIONS, "--out", tmp_path / "c.yaml") == 0
+    assert "warning: the board's tilt differs by" in capsys.readouterr().out
+
+
 def test_bad_input_is_one_line(pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blank, empty = sheet(tmp_path, "blank.png"), tmp_path / "empty"
     empty.mkdir()
@@ -144,8 +176,9 @@ def test_bad_input_is_one_line(pictures: Path, tmp_path: Path, capsys: pytest.Ca
     cases: list[tuple[list[object], str]] = [
         ([blank], "no 7x5 board found in 1 pictures"),
         ([views[0], "--board", "8x6"], "but a 7x5 one; need --board with the number of inner corners"),
-        (views[:2], "views: 2 different ones of the 7x5 board; need 3"),
-        ([views[0], views[0], views[0]], "views: 1 different ones of the 7x5 board; need 3; 2 x like another view"),
+        (views[:2], "views: 2 pictures show 2 different views of the 7x5 board; need at least 3"),
+        ([views[0]] * 3, "views: 3 pictures show 1 different view of the 7x5 board; need at least 3"),
+        ([views[0]] * 3, "tilted in different directions; 2 x like another view"),
         ([text], "none of 1 pictures can be read"),
         ([tmp_path / "no.png"], "no.png"),
         ([empty], "no image in it"),

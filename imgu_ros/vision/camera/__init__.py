@@ -66,7 +66,7 @@ from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform, rigid_
 from imgu_ros.vision.camera.rotation import as_rotation, exp_so3, from_quaternion, log_so3, nearest_rotation, quaternion
 from imgu_ros.vision.camera.rotation_model import RotationEstimate, RotationModel, estimate_rotation
 from imgu_ros.vision.camera.rotation_view import rotation_from_homography, rotation_homography
-from imgu_ros.vision.camera.view_choice import choose_views
+from imgu_ros.vision.camera.view_choice import board_turns, choose_views, without_copies
 
 __all__ = [
     "AngleOfView",
@@ -98,6 +98,7 @@ __all__ = [
     "as_rotation",
     "bend",
     "bend_with_derivatives",
+    "board_turns",
     "calibrate",
     "camera_centre",
     "camera_to_world",
@@ -142,5 +143,6 @@ __all__ = [
     "rq",
     "unbend",
     "weighed_poses",
+    "without_copies",
     "world_to_camera",
 ]

@@ -20,6 +20,7 @@ from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionMode
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.planar_pose import planar_pose_starts
 from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.camera.view_choice import without_copies
 from imgu_ros.vision.estimation.nonlinear import Minimum, minimise
 from imgu_ros.vision.projective.estimate import require_spread
 
@@ -71,6 +72,7 @@ class Calibration:
     rms_px : root mean square residual of the views that were used, px (per coordinate)
     views : those that were used, in the input's order
     outliers : those that were refused because they do not agree with the others, as they were then
+    copies : indices of views that show nothing new, for they repeat an earlier one
     iterations : linear systems solved
     """
 
@@ -79,6 +81,7 @@ class Calibration:
     rms_px: float
     views: tuple[CalibratedView, ...]
     outliers: tuple[CalibratedView, ...]
+    copies: tuple[int, ...]
     iterations: int
 
     @property
@@ -108,7 +111,8 @@ def calibrate(
     Parameters
     ----------
     board_xy : (N, 2) m, points of the plane z = 0, N >= 4
-    views : each (N, 2) px, where the points were seen; at least three, from different directions
+    views : each (N, 2) px, where the points were seen; at least three different ones, from different directions.
+        Several of a camera and a board that stand still count as one (`view_choice.without_copies`)
     width, height : px, of the pictures
     model : of the lens
     refuse_outliers : leave out views whose residual is more than three times the median view's
@@ -118,7 +122,7 @@ def calibrate(
     ShapeError
         If an array has another shape or is not finite.
     TooFewPoints
-        If there are fewer than three views, or too few that agree.
+        If there are fewer than three different views, or too few that agree.
     DegenerateConfiguration
         If the views do not determine the focal length to 10 % (all parallel, or all alike), or not every coefficient.
     NotConverged
@@ -138,8 +142,14 @@ def calibrate(
     """
     board_xy, pixels = _checked(board_xy, views, width, height)
     model = as_distortion_model(model)
-    state = _start(board_xy, pixels, (width, height), model)
-    indices = list(range(len(pixels)))
+    indices = list(without_copies(board_xy, pixels, width, height))
+    if len(indices) < FEWEST_VIEWS:
+        are = f"{len(indices)} different one{'s' * (len(indices) > 1)}"
+        raise TooFewPoints(
+            f"views: {len(pixels)} show {are}; need at least {FEWEST_VIEWS}, tilted in different directions"
+        )
+    copies = tuple(sorted(set(range(len(pixels))).difference(indices)))
+    state = _start(board_xy, [pixels[i] for i in indices], (width, height), model)
     outliers: list[CalibratedView] = []
     iterations = 0
     while True:
@@ -157,8 +167,9 @@ def calibrate(
         del indices[worst]
         state = BundleState(state.intrinsics, tuple(pose for i, pose in enumerate(state.poses) if i != worst))
         if len(indices) < FEWEST_VIEWS:
+            tried = len(outliers) + len(indices)
             raise TooFewPoints(
-                f"views: {len(outliers)} of {len(pixels)} do not agree with the others; need {FEWEST_VIEWS} that do"
+                f"views: {len(outliers)} of {tried} do not agree with the others; need {FEWEST_VIEWS} that do"
             )
     if not minimum.converged:
         raise NotConverged(
@@ -172,6 +183,7 @@ def calibrate(
         rms_px=math.sqrt(float((minimum.linearisation.residuals**2).mean())),
         views=tuple(seen),
         outliers=tuple(sorted(outliers, key=lambda view: view.index)),
+        copies=copies,
         iterations=iterations,
     )
 

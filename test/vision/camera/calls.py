@@ -46,7 +46,7 @@ from imgu_ros.vision.camera.rotation import (
 from imgu_ros.vision.camera.rotation_model import RotationModel, estimate_rotation
 from imgu_ros.vision.camera.rotation_view import rotation_from_homography, rotation_homography
 from imgu_ros.vision.camera.sensor_tilt import tilt_derivatives, tilt_matrix
-from imgu_ros.vision.camera.view_choice import choose_views
+from imgu_ros.vision.camera.view_choice import board_turns, choose_views, without_copies
 
 Generator = np.random.Generator
 
@@ -192,6 +192,8 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
         | {"camera_src": camera(), "camera_dst": camera(), "rng": np.random.default_rng(1), "threshold_px": 3.0}
     ),
     choose_views: lambda rng: {"views": board_views(rng), "width": 640, "height": 480},
+    without_copies: lambda rng: {"board_xy": BOARD.corners(), "views": board_views(rng), "width": 640, "height": 480},
+    board_turns: lambda rng: {"board_xy": BOARD.corners()},
     calibrate: lambda rng: {"board_xy": BOARD.corners(), "views": board_views(rng), "width": 640, "height": 480},
     find_chessboard: lambda rng: {"grey": picture(rng), "board": BOARD},
 }

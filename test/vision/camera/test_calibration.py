@@ -15,7 +15,7 @@ from imgu_ros.vision.camera.calibration import Calibration, calibrate
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.rotation import exp_so3
-from imgu_ros.vision.camera.view_choice import choose_views
+from imgu_ros.vision.camera.view_choice import board_turns, choose_views
 
 BOARD = Chessboard(9, 6, 0.025)
 XY = BOARD.corners()
@@ -92,6 +92,79 @@ def test_parallel_views_do_not_determine_the_focal_length() -> None:
     tilted = pinhole.project(flat @ exp_so3([0.5, 0.1, 0]).T + (0, 0, 0.5))
     with pytest.raises(EstimationError, match="views"):
         calibrate(XY, [tilted + rng.normal(0, 0.1, XY.shape) for _ in range(3)], 1280, 720, "rational_polynomial")
+
+
+def held(turn: tuple[float, float, float], at: tuple[float, float, float]) -> np.ndarray:
+    """The board turned about its centre, seen through the lens without noise."""
+    flat = np.column_stack((XY - XY.mean(axis=0), np.zeros(len(XY))))
+    return PLUMB_BOB.project(flat @ exp_so3(turn).T + at)
+
+
+COPIES = {
+    "the same file": lambda view, rng: view,
+    "the next frames": lambda view, rng: view + rng.normal(0, 0.3, view.shape),
+    "a tripod that shakes": lambda view, rng: view + rng.normal(0, 0.3, 2) + rng.normal(0, 0.1, view.shape),
+    "counted from the other end": lambda view, rng: view[:: rng.choice((-1, 1))] + rng.normal(0, 0.1, view.shape),
+}
+
+
+@pytest.mark.parametrize("kind", COPIES)
+@pytest.mark.parametrize("count", [6, 40])
+def test_copies_of_a_view_count_as_one(kind: str, count: int) -> None:
+    """Six copies of one view gave a focal length 83 px off, with a sigma of 8."""
+    rng = np.random.default_rng(4)
+    one = held((0.5, 0.2, 0.1), (0, 0, 0.4)) + rng.normal(0, 0.1, XY.shape)
+    copies = [COPIES[kind](one, rng) for _ in range(count)]
+    with pytest.raises(TooFewPoints, match=rf"{count} show 1 different one; need at least 3"):
+        calibrate(XY, copies, 1280, 720)
+    seen = views(PLUMB_BOB, 6, 1, 0.1)
+    alone, crowded = calibrate(XY, [*seen, one], 1280, 720), calibrate(XY, [*seen, one, *copies], 1280, 720)
+    assert crowded.copies == tuple(range(7, 7 + count))
+    assert [view.index for view in crowded.views] == list(range(7))
+    assert_allclose(crowded.covariance, alone.covariance, rtol=1e-9)
+
+
+def test_two_views_held_for_long_are_two() -> None:
+    rng = np.random.default_rng(0)
+    two = [held((0.5, 0.2, 0.1), (0, 0, 0.4)), held((-0.4, 0.3, 0), (0.05, 0, 0.5))]
+    with pytest.raises(TooFewPoints, match="40 show 2 different ones"):
+        calibrate(XY, [view + rng.normal(0, 0.2, view.shape) for view in two for _ in range(20)], 1280, 720)
+
+
+def test_a_square_board_counted_from_any_corner_is_one_view() -> None:
+    square = Chessboard(7, 7, 0.025).corners()
+    turns = board_turns(square)
+    assert sorted(turn[0] for turn in turns) == [0, 6, 42, 48]
+    flat = np.column_stack((square - square.mean(axis=0), np.zeros(49)))
+    view = PLUMB_BOB.project(flat @ exp_so3((0.4, 0.2, 0)).T + (0, 0, 0.4))
+    with pytest.raises(TooFewPoints, match="4 show 1 different one"):
+        calibrate(square, [view[turn] for turn in turns], 1280, 720)
+    assert choose_views([view[turn] for turn in turns], 1280, 720, board_xy=square) == (0,)
+    assert len(choose_views([view[turn] for turn in turns], 1280, 720)) == 2
+    with pytest.raises(ShapeError, match="board_xy: 54 points; need 49"):
+        choose_views([view], 1280, 720, board_xy=XY)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_tilt_is_refused_or_its_sigma_is_honest(seed: int) -> None:
+    """A board that is moved about without being tilted, and one that wobbles in the hand."""
+    rng = np.random.default_rng(seed)
+    moved = [
+        held((0.5, 0, 0), (x, y, 0.5)) + rng.normal(0, 0.1, XY.shape) for x in (-0.1, 0, 0.1) for y in (-0.04, 0.04)
+    ]
+    flat = [held((0, 0, 0), (x, y, 0.5)) + rng.normal(0, 0.1, XY.shape) for x in (-0.1, 0, 0.1) for y in (-0.04, 0.04)]
+    wobbling = [
+        held(tuple(rng.normal(0, 0.05, 3) + (0.5, 0, 0)), tuple(rng.normal(0, 0.01, 3) + (0, 0, 0.4)))
+        + rng.normal(0, 0.1, XY.shape)
+        for _ in range(12)
+    ]
+    for seen in (moved, flat, wobbling):
+        try:
+            found = calibrate(XY, seen, 1280, 720)
+        except DegenerateConfiguration:
+            continue
+        error = main_error(found, PLUMB_BOB)
+        assert error @ np.linalg.solve(found.covariance[:4, :4], error) < 25
 
 
 def test_bad_input() -> None:
