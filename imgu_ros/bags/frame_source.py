@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from imgu_ros.bags.reading import Bag, BagMessage, Topic
-from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image_topics
+from imgu_ros.bags.image_choice import choose_image_topic
+from imgu_ros.bags.reading import Bag, BagMessage
+from imgu_ros.bags.topics import find_camera_info_topic
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.pairing import Pair, Pairing
@@ -53,14 +54,17 @@ class FrameSource:
     Raises
     ------
     BagError, ParameterError
-        If there is no such topic; see `find_image_topic` and `find_camera_info_topic`.
+        If there is no such topic; see `choose_image_topic` and `find_camera_info_topic`.
     """
 
     def __init__(self, bag: Bag, parameters: Parameters) -> None:
         self._bag = bag
         self._rectified = parameters.camera.rectified
         self.warnings: list[str] = []
-        self.image_topic = self._chosen_topic(parameters.image_topic)
+        choice = choose_image_topic(bag, parameters.image_topic)
+        self.image_topic = choice.topic
+        if choice.remark:
+            self.warnings.append(choice.remark)
         self.camera_info_topic = find_camera_info_topic(bag.topics, self.image_topic.name, parameters.camera_info_topic)
         if not self._rectified and "rect" in self.image_topic.name:
             self.warnings.append(f"{self.image_topic.name}: sounds rectified; if it is, set -p camera.rectified:=true")
@@ -92,26 +96,6 @@ class FrameSource:
             else:
                 yield from pairing.add_camera_info(stamp_ns, message.message)
         yield from pairing.flush()
-
-    def _chosen_topic(self, name: str) -> Topic:
-        """Return the named topic, or the first whose first image can be decoded."""
-        first = find_image_topic(self._bag.topics, name)
-        candidates = [topic for topic in image_topics(self._bag.topics) if topic.count]
-        if name or len(candidates) < 2:
-            return first
-        chosen = next((topic for topic in candidates if self._is_readable(topic)), first)
-        others = ", ".join(topic.name for topic in candidates if topic is not chosen)
-        self.warnings.append(f"several image topics: reading {chosen.name}, not {others}; set -p image_topic:=NAME")
-        return chosen
-
-    def _is_readable(self, topic: Topic) -> bool:
-        for message in self._bag.messages([topic.name]):
-            try:
-                decode_frame(message.message, None, rectified=False)
-            except EncodingError:
-                return False
-            return True
-        return False
 
     def _said_of_camera(self, pair: Pair[BagMessage, Any], frame: Frame) -> Sequence[str]:
         if frame.camera is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from imgu_ros.bags.image_choice import choose_image_topic
 from imgu_ros.bags.reading import Bag
-from imgu_ros.bags.topics import find_image_topic
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import decode_header
 from imgu_ros.errors import EncodingError
@@ -35,14 +35,14 @@ def recorded_pictures(bag: Bag, topic: str = "") -> Iterator[RecordedPicture]:
     Parameters
     ----------
     bag : open
-    topic : its name; empty: the first image topic
+    topic : its name; empty: see `choose_image_topic`
 
     Raises
     ------
     BagError, ParameterError
-        If there is no such topic; see `find_image_topic`.
+        If there is no such topic; see `choose_image_topic`.
     """
-    name = find_image_topic(bag.topics, topic).name
+    name = choose_image_topic(bag, topic).topic.name
     for message in bag.messages([name]):
         stamp_ns = decode_header(message.message).stamp_ns
         try:

@@ -181,13 +181,30 @@ def test_summary(clean: Path) -> None:
     assert summary["source"]["image_topic"] == IMAGE
 
 
+def test_what_is_odd_about_frames_is_said_once(
+    rewritten: Callable[..., Path], clean: Path, parameters: Parameters, tmp_path: Path
+) -> None:
+    """Rows of another length than `step` says, and bytes behind the last row."""
+
+    def change(index: int, message: Any) -> Any:
+        if not hasattr(message, "encoding"):
+            return message
+        return with_fields(message, data=np.append(message.data, np.zeros(7 + index, np.uint8)))
+
+    said: list[str] = []
+    replay([rewritten(change)], tmp_path / "out", parameters, on_warning=said.append)
+    remarks = [text for text in said if "more than step x height" in text]
+    assert remarks == [f"{IMAGE}: data: 172807 bytes, 7 more than step x height = 480 x 360; these are ignored"]
+    assert [row["h11"] for row in rows(tmp_path / "out")] == [row["h11"] for row in rows(clean)]
+
+
 def test_unreadable_frames_become_rows_beside_the_others(
     rewritten: Callable[..., Path], clean: Path, parameters: Parameters, tmp_path: Path
 ) -> None:
     damage = {
         1: {"encoding": "no_such_encoding"},
         2: {"data": np.zeros(100, np.uint8)},
-        3: {"step": 7},
+        3: {"width": 100_000},
     }
 
     def change(index: int, message: Any) -> Any:

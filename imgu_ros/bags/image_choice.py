@@ -1,0 +1,129 @@
+"""Which of a bag's image topics is the camera's picture of the scene, where nobody says it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import islice
+
+from imgu_ros.bags.reading import Bag, Topic
+from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image_topics
+from imgu_ros.codec.frame import decode_frame
+from imgu_ros.codec.image_source import described_encoding
+from imgu_ros.errors import EncodingError
+from imgu_ros.vision.formation.layout import ColorModel, RawImage
+
+
+@dataclass(frozen=True, slots=True)
+class ImageChoice:
+    """The image topic to read.
+
+    Attributes
+    ----------
+    topic : its name, type and number of messages
+    remark : which it is and which others there are, when it was not named and there are others; else empty
+    """
+
+    topic: Topic
+    remark: str = ""
+
+
+def choose_image_topic(bag: Bag, name: str = "") -> ImageChoice:
+    """Choose the image topic of a bag by its name, else by what the first messages of each hold.
+
+    Pictures of a scene (mosaics, colour, grey) come before generic 8-bit ones, before depth and other measurements, and
+    before what cannot be read; then ordinary names before those of thermal cameras, masks and drawings; then topics
+    with a camera_info beside them; raw before rectified pictures; mosaics and colour before grey; uncompressed ones
+    first; at last the name decides.
+
+    Parameters
+    ----------
+    bag : open
+    name : the wanted one, the parameter `image_topic`; empty: choose
+
+    Raises
+    ------
+    BagError, ParameterError
+        If there is no such topic; see `find_image_topic`.
+    """
+    first = find_image_topic(bag.topics, name)
+    candidates = [topic for topic in image_topics(bag.topics) if topic.count]
+    if name or len(candidates) < 2:
+        return ImageChoice(first)
+    ranked = sorted((_candidate(bag, topic) for topic in candidates), key=lambda candidate: candidate.rank)
+    chosen, *others = ranked
+    listed = ", ".join(f"{candidate.topic.name} ({candidate.content})" for candidate in others[:_MOST_LISTED])
+    more = f" and {len(others) - _MOST_LISTED} more" if len(others) > _MOST_LISTED else ""
+    return ImageChoice(
+        chosen.topic,
+        f"several image topics: reading {chosen.topic.name} ({chosen.content}), not {listed}{more}; "
+        "set -p image_topic:=NAME",
+    )
+
+
+#: Messages of a topic that are tried: the first may be damaged.
+_TRIED = 3
+_MOST_LISTED = 8
+
+#: Words of topic names for what is no picture of the scene, or not an ordinary one.
+_MEASURED = frozenset("depth disparity confidence flow points pointcloud distance costmap".split())
+_DRAWN = frozenset(
+    "mask masks segmentation segmented semantic label labels instance debug annotated annotation overlay heatmap "
+    "detection detections result results visualization visualisation rendered".split()
+)
+_INFRARED = frozenset(
+    "thermal ir infra infrared lwir nir nearir range intensity reflectivity reflec signal amplitude".split()
+)
+_WORD = re.compile(r"[a-z]+")
+_PICTURES = {
+    **dict.fromkeys((ColorModel.BAYER, ColorModel.RGB, ColorModel.BGR, ColorModel.RGBA, ColorModel.BGRA), 0),
+    **dict.fromkeys((ColorModel.ARGB, ColorModel.UYVY, ColorModel.YUYV, ColorModel.LUMA), 0),
+    ColorModel.MONO: 1,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A topic, what it holds in a word, and its rank: the lowest is read."""
+
+    topic: Topic
+    content: str
+    rank: tuple[object, ...]
+
+
+def _candidate(bag: Bag, topic: Topic) -> _Candidate:
+    image: RawImage | None = None
+    content = "unreadable"
+    for message in islice(bag.messages([topic.name]), _TRIED):
+        content = described_encoding(message.message) or "no encoding"
+        try:
+            image = decode_frame(message.message, None, rectified=False).image
+        except EncodingError:
+            content = f"{content}: unreadable"
+        else:
+            break
+    words = set(_WORD.findall(topic.name.lower()))
+    info = find_camera_info_topic(bag.topics, topic.name)
+    rectified = any(word.startswith("rect") for word in words)
+    rank = (
+        _kind(image, words),
+        2 if words & _DRAWN else 1 if words & _INFRARED else 0,
+        info is None or not info.count,
+        rectified,
+        0 if image is None else _PICTURES.get(image.layout.color, 2),
+        topic.type_name.endswith("CompressedImage"),
+        topic.name,
+    )
+    return _Candidate(topic, content, rank)
+
+
+def _kind(image: RawImage | None, words: set[str]) -> int:
+    """Return 0 for a picture, 1 for generic 8-bit values, 2 and 3 for depth by name and by type, 4 for none."""
+    if image is None:
+        return 4
+    is_generic = image.layout.color is ColorModel.BANDS
+    if is_generic and image.pixels.dtype.itemsize > 1:
+        return 3
+    if words & _MEASURED:
+        return 2
+    return 1 if is_generic else 0
