@@ -9,6 +9,7 @@ import numpy as np
 
 from imgu_ros.errors import EstimationError, ImguError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.calibration_check import CalibrationCheck
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.develop import Developed
 from imgu_ros.perception.development import Development, develop_frame
@@ -49,6 +50,7 @@ class Chain:
     def __init__(self, parameters: Parameters, targets: Sequence[Target], parts: Parts | None = None) -> None:
         self._parameters = parameters
         self._targets = tuple(targets)
+        self._calibration = CalibrationCheck()
         self._seeker = Seeker(self._targets, parameters, parts)
         self._tracks: list[Track | None] = []
         self._seen: list[Sighting | None] = []
@@ -76,14 +78,17 @@ class Chain:
         self._frames_without_search = 0
         self._searches = 0
         self._last_ns = None
+        self._calibration.reset()
 
     def continue_from(self, before: Chain) -> None:
         """Go on where another chain stands: tracks of targets that both know by name and picture go on.
 
-        Tracks are of the template's px: they hold whatever the targets' widths and all parameters are.
+        Tracks are of the template's px: they hold whatever the targets' widths and all parameters are. So does what was
+        seen of the calibration, until the camera changes.
         """
         self.reset()
         self._last_ns = before._last_ns
+        self._calibration = before._calibration
         if not self._parameters.tracking.enabled:
             return
         self._frames_without_search, self._searches = before._frames_without_search, before._searches
@@ -143,6 +148,7 @@ class Chain:
         )
         self._frames_without_search = 0 if due or not missing else self._frames_without_search + 1
         self._remember(frame, targets)
+        targets = self._calibration.examined(frame.camera, targets)
         return Result(
             frame=frame,
             targets=targets,
@@ -150,6 +156,7 @@ class Chain:
             pyramid=features.pyramid if features else None,
             keypoints=features.described.keypoints if features else None,
             descriptors=features.described.descriptors if features else None,
+            calibration=self._calibration.finding,
             times_ns=clock.times_ns,
             total_ns=time.perf_counter_ns() - start,
         )
@@ -166,7 +173,7 @@ class Chain:
             return None
         found = TargetResult(target.name, index, Status.TRACKED, matches=_as_matches(alignment))
         with clock.measures(Stage.POSE):
-            return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason)
+            return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason, self._calibration)
 
     def _search_is_due(self, missing: Sequence[int]) -> bool:
         """Whether missing targets are to be looked for: at once when one was just lost or none is in view."""

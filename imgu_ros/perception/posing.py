@@ -10,6 +10,7 @@ import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.calibration_check import CalibrationCheck
 from imgu_ros.perception.result import PoseStatus, TargetResult
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Matrix3, Points
@@ -54,6 +55,7 @@ def posed(
     camera: Camera | None,
     parameters: Parameters,
     camera_reason: str = "",
+    check: CalibrationCheck | None = None,
 ) -> TargetResult:
     """Complete a result by homography, outline and, where it can be, pose.
 
@@ -64,6 +66,7 @@ def posed(
     camera : intrinsics; None when there are none that can be used
     parameters : all parameters
     camera_reason : why there are none; empty: there is no camera_info
+    check : is asked whether it wants what the pose leaves unexplained; None: it does
     """
     homography = located.homography
     outline = seen_outline(target, homography.H)
@@ -77,7 +80,14 @@ def posed(
         return seen(pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
     try:
         if located.condensed is not None:
-            poses = poses_of_homography(located.condensed, camera.K, target.metres_from_template)
+            asked = check is None or camera.covariance is not None or check.wants(camera, found.index, outline)
+            poses = poses_of_homography(
+                located.condensed,
+                camera.K,
+                target.metres_from_template,
+                camera if asked else None,
+                located.template_xy,
+            )
         else:
             poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
     except EstimationError as error:
@@ -89,6 +99,7 @@ def posed(
         pose=None if ambiguous else poses.solutions[0],
         solutions=poses.solutions,
         ambiguity=poses.ambiguity,
+        calibration=None if ambiguous else poses.calibration,
     )
 
 

@@ -9,6 +9,7 @@ from enum import StrEnum
 from imgu_ros.perception.develop import Developed
 from imgu_ros.perception.frame import Frame
 from imgu_ros.types import Image, Mask, Points
+from imgu_ros.vision.camera.calibration_test import CalibrationTest
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.matches import Matches
@@ -93,6 +94,7 @@ class TargetResult:
     pose : camera_from_target with its covariance; None unless `pose_status` is metric
     solutions : the refined planar solutions, best first: two, or one when the other cannot be
     ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
+    calibration : what the picture says of the camera's numbers beside the pose; None without a pose
     most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
     """
 
@@ -108,6 +110,29 @@ class TargetResult:
     solutions: tuple[Pose, ...] = ()
     ambiguity: float | None = None
     most_inliers: int = 0
+    calibration: CalibrationTest | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationFinding:
+    """What the frames so far say about the camera's calibration.
+
+    Attributes
+    ----------
+    views : different views of targets that were weighed, the newest
+    chi_squared : mean of their squared misfits, of 2 degrees of freedom: about 2 when the calibration is right
+    focal_percent : by how much the focal length is too long, should it alone be wrong
+    focal_sigma_percent : its standard deviation, the calibration's own uncertainty included
+    is_focal : whether the focal length explains what does not fit
+    warning : what the user should know; empty when the calibration fits
+    """
+
+    views: int
+    chi_squared: float
+    focal_percent: float
+    focal_sigma_percent: float
+    is_focal: bool
+    warning: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +146,7 @@ class Result:
     reason : why the frame was rejected; empty when it was not
     developed : grey picture, and colour on demand; None when the frame was rejected
     pyramid, keypoints, descriptors : intermediates; None when no target had to be looked for
+    calibration : what this frame and those before it say of the camera's calibration; None before the first pose
     times_ns : time that each stage took, for the stages that ran
     total_ns : time of the whole frame
     """
@@ -132,5 +158,6 @@ class Result:
     pyramid: Pyramid | None = None
     keypoints: Keypoints | None = None
     descriptors: Image | None = None
+    calibration: CalibrationFinding | None = None
     times_ns: Mapping[Stage, int] | None = None
     total_ns: int = 0

@@ -7,12 +7,17 @@ decides which pose fits best, at a cost that does not depend on their number.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError
-from imgu_ros.types import Floats, Matrix3, as_matrix
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
+from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
+from imgu_ros.vision.camera.calibration_test import LEAST_NOISE_PX, CalibrationTest
+from imgu_ros.vision.camera.camera_covariance import covariance_factor
+from imgu_ros.vision.camera.camera_derivatives import ideal_by_camera
+from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.ippe import poses_about_point
 from imgu_ros.vision.camera.planar_pose import PlanarPoses, weighed_poses
 from imgu_ros.vision.camera.pose import Pose
@@ -40,9 +45,19 @@ def _by_step() -> tuple[Floats, Floats]:
 
 
 _BY_STEP, _BY_TRANSLATION = _by_step()
+_ALL_OVER = np.array([[x, y, 1.0] for y in np.linspace(-1.7, 1.7, 5) for x in np.linspace(-1.7, 1.7, 5)])
+#: The derivatives of K by fx, fy, cx and cy.
+_BY_K = np.zeros((4, 3, 3))
+_BY_K[(0, 1, 2, 3), (0, 1, 0, 1), (0, 1, 2, 2)] = 1
 
 
-def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_from_src: ArrayLike) -> PlanarPoses:
+def poses_of_homography(
+    homography: CondensedHomography,
+    K: ArrayLike,
+    plane_from_src: ArrayLike,
+    camera: Camera | None = None,
+    src_xy: ArrayLike | None = None,
+) -> PlanarPoses:
     """Estimate camera_from_plane from a homography's condensed correspondences.
 
     The same as `planar_poses` of the correspondences, to second order in the residuals.
@@ -52,6 +67,10 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     homography : of ideal pixels from the plane's picture
     K : (3, 3) intrinsics
     plane_from_src : (3, 3) affine: metres on the plane z = 0 from the picture's px
+    camera : the camera with this K; when given, its covariance is in the poses', and `calibration` says what the
+        homography tells of its numbers
+    src_xy : (N, 2) px of the picture, the correspondences' points, which a lens that distorts sees each in its own way;
+        None: all over
 
     Raises
     ------
@@ -86,7 +105,17 @@ def poses_of_homography(homography: CondensedHomography, K: ArrayLike, plane_fro
     )
     if not poses.solutions:
         raise DegenerateConfiguration("H: no pose in front of the camera explains it; need a plane seen from its front")
-    return poses
+    if camera is None:
+        return poses
+    xy = None if src_xy is None else as_points(src_xy, "src_xy")
+    moved = problem.tangent_by_camera(camera, xy)
+    if camera.covariance is None:
+        return replace(poses, calibration=problem.calibration(poses.solutions[0], moved))
+    tests, factor = [problem.calibration(pose, moved) for pose in poses.solutions], covariance_factor(camera)
+    solutions = tuple(
+        pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(poses.solutions, tests, strict=True)
+    )
+    return PlanarPoses(solutions, poses.ambiguity, tests[0])
 
 
 class _PoseOfHomography:
@@ -159,6 +188,57 @@ class _PoseOfHomography:
         covariance = homography.noise**2 * of_pose @ homography.middle @ of_pose.T
         rms_px = self._rms_px(float(residuals @ residuals))
         return Pose(R, t, (covariance + covariance.T) / 2, rms_px)
+
+    def calibration(self, pose: Pose, tangent_by_camera: Floats) -> CalibrationTest:
+        """Return what the homography says of the camera's numbers, at a pose that fits best."""
+        homography = self._homography
+        linear = self.linearise(pose.transform.matrix)
+        by_step = linear.jacobian[:, 0]
+        # The last two columns are orthogonal to those of the derivative.
+        across = np.linalg.qr(by_step, mode="complete")[0][:, 6:]
+        of_noise = np.linalg.solve(self._whitening, across)
+        return CalibrationTest.of_residuals(
+            linear.residuals.ravel(),
+            by_step,
+            across,
+            self._whitening @ tangent_by_camera,
+            max(homography.noise, LEAST_NOISE_PX * self._unit) ** 2 * of_noise.T @ homography.middle @ of_noise,
+            max(2.0 * np.count_nonzero(homography.estimate.inliers) - 8, 1.0),
+        )
+
+    def tangent_by_camera(self, camera: Camera, src_xy: Points | None) -> Floats:
+        """Return how the fitted homography moves with the camera's numbers, (8, P), in coordinates of its basis."""
+        h = self._homography
+        if not camera.is_distorted and camera.covariance is None:
+            return self._tangent_by_pinhole(camera)
+        if src_xy is None:
+            points = _ALL_OVER
+        else:
+            # All of them: a lens moves points as no homography does, and which one is nearest depends on the points.
+            points = np.column_stack((src_xy, np.ones(len(src_xy)))) @ h.T_src.T
+        x, y, w = h.scaled @ points.T
+        seen = np.column_stack((x / w, y / w))
+        by_H = np.zeros((len(points), 2, 9))
+        by_H[:, 0, :3] = by_H[:, 1, 3:6] = points / w[:, None]
+        by_H[:, :, 6:] = -seen[:, :, None] * by_H[:, :1, :3]
+        rows = by_H.reshape(-1, 9) @ h.basis
+        try:
+            moved = self._unit * ideal_by_camera(camera, (seen - h.T_dst[:2, 2]) / self._unit)
+            return np.asarray(np.linalg.solve(rows.T @ rows, rows.T @ moved.reshape(len(rows), -1)), np.float64)
+        except ShapeError as error:
+            raise DegenerateConfiguration(f"pose: {error}") from None
+        except np.linalg.LinAlgError:
+            raise DegenerateConfiguration(
+                "src_xy: the points do not determine a homography; need points that span the plane"
+            ) from None
+
+    def _tangent_by_pinhole(self, camera: Camera) -> Floats:
+        """Return the same where no lens distorts: with K, all points move as a homography moves them."""
+        h = self._homography
+        moved = _BY_K @ (inverse3(h.T_dst @ camera.K, "K") @ h.scaled)
+        tangent = np.zeros((8, 4 + len(camera.distortion)))
+        tangent[:, :4] = -h.basis.T @ (h.T_dst @ moved).reshape(4, 9).T
+        return tangent
 
     def _rms_px(self, more_squares: float) -> float:
         count = 2 * np.count_nonzero(self._homography.estimate.inliers)

@@ -15,10 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
-from imgu_ros.types import Floats, as_matrix, as_points
+from imgu_ros.types import Floats, Points, as_matrix, as_points
+from imgu_ros.vision.camera.calibration_test import FREEDOM, LEAST_NOISE_PX, CalibrationTest
+from imgu_ros.vision.camera.camera_covariance import covariance_factor
+from imgu_ros.vision.camera.camera_derivatives import raw_by_camera
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.pose_problem import PoseProblem
+from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.covariance import propagated_covariance
@@ -27,6 +30,10 @@ from imgu_ros.vision.projective.estimate import require_spread
 
 #: A second solution is refuted when it starts with this many times the first one's error.
 _REFUTED = 5.0
+#: Degrees of freedom of a noise that is known.
+_KNOWN = 1e9
+#: Of so few points, the homography leaves no residuals that would tell their noise.
+_HOMOGRAPHY_POINTS = 4
 #: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
 _TOLERANCE = 1e-3
 
@@ -40,10 +47,13 @@ class PlanarPoses:
     solutions : one or two refined poses camera_from_plane, best first; a second one that is refuted clearly, by five
         times the error, is left out
     ambiguity : best / second-best RMS reprojection error, 0 (clear) to 1; 0 when only one pose lies before the camera
+    calibration : what the best one leaves unexplained, and how that depends on the camera; None: not asked for, or
+        there are no more points than a homography needs
     """
 
     solutions: tuple[Pose, ...]
     ambiguity: float
+    calibration: CalibrationTest | None = None
 
 
 def planar_poses(
@@ -59,7 +69,7 @@ def planar_poses(
     ----------
     plane_xy : (N, 2) m, on the plane z = 0, N >= 4
     pixels : (N, 2) raw px, distortion and all
-    camera : intrinsics
+    camera : intrinsics; their covariance, when they have one, is in the poses'
     noise_px : standard deviation of a pixel coordinate; None: from the residuals
     correlation : (N, N) correlation of the errors of different points; None: independent
 
@@ -94,7 +104,18 @@ def planar_poses(
         raise DegenerateConfiguration(
             "pixels: no pose in front of the camera explains them; need a plane seen from its front"
         )
-    return poses
+    tests = [
+        _calibration_test(plane_xy[valid], pixels[valid], camera, pose.transform, noise_px, among_valid)
+        for pose in poses.solutions
+    ]
+    solutions = poses.solutions
+    if camera.covariance is not None:
+        factor = covariance_factor(camera)
+        solutions = tuple(
+            pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(solutions, tests, strict=True)
+        )
+    enough = noise_px is not None or np.count_nonzero(valid) > _HOMOGRAPHY_POINTS
+    return PlanarPoses(solutions, poses.ambiguity, tests[0] if enough else None)
 
 
 def weighed_poses(
@@ -172,6 +193,64 @@ def _refined(problem: PoseProblem, start: RigidTransform, noise_px: float | None
     minimum = minimise(problem, start.matrix, max_iterations=30, tolerance=_TOLERANCE)
     R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
     return Pose(R, t, propagated_covariance(minimum, noise_px, correlation), _rms(minimum.linearisation.residuals))
+
+
+def _calibration_test(
+    plane_xy: Points,
+    pixels: Points,
+    camera: Camera,
+    camera_from_plane: RigidTransform,
+    noise_px: float | None = None,
+    correlation: Floats | None = None,
+) -> CalibrationTest:
+    """Return what points say of the camera's numbers, at the pose that fits them best.
+
+    Parameters
+    ----------
+    plane_xy : (N, 2) m, on the plane z = 0, N >= 4, not on a line
+    pixels : (N, 2) raw px, distortion and all
+    camera, camera_from_plane : with which they were fitted
+    noise_px : standard deviation of a pixel coordinate; None: from the residuals of the best homography, N > 4
+    correlation : (N, N) correlation of the errors of different points; None: independent
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a point is so far off the axis that the lens model overflows, or the points determine no pose.
+    """
+    t = camera_from_plane.t
+    points = plane_xy @ camera_from_plane.R[:, :2].T + t
+    try:
+        projected, by_point = camera.project_with_jacobian(points)
+        by_camera = raw_by_camera(camera, points)
+    except ShapeError as error:
+        raise DegenerateConfiguration(f"pose: {error}") from None
+    by_pose = (by_point @ point_by_pose(points, t)).reshape(-1, 6)
+    # A homography moves the points of the plane by a (3, 3) matrix; a pose by some of these motions.
+    centred = plane_xy - plane_xy.mean(axis=0)
+    homogeneous = np.column_stack((centred / np.sqrt((centred**2).mean()), np.ones(len(points))))
+    by_homography = (by_point[:, :, :, None] * homogeneous[:, None, None, :]).reshape(-1, 9)
+    explained, _ = np.linalg.qr(by_pose)
+    beyond = by_homography - explained @ (explained.T @ by_homography)
+    across = np.linalg.svd(beyond, full_matrices=False)[0][:, :FREEDOM]
+    residuals = (projected - pixels).ravel()
+    variance, freedom = (0.0, _KNOWN) if noise_px is None else (noise_px**2, _KNOWN)
+    if noise_px is None:
+        along = across.T @ residuals
+        freedom = max(len(residuals) - 8.0, 1.0)
+        variance = max(float(residuals @ residuals - along @ along), 0.0) / freedom
+    noise = np.eye(FREEDOM)
+    if correlation is not None:
+        by_axis = across.reshape(len(points), 2, FREEDOM)
+        noise = np.einsum("nda,ndb->ab", by_axis, np.tensordot(correlation, by_axis, 1))
+    return CalibrationTest.of_residuals(
+        residuals,
+        by_pose,
+        across,
+        -by_camera.reshape(len(residuals), -1),
+        max(variance, LEAST_NOISE_PX**2) * noise,
+        freedom,
+    )
 
 
 def _rms(residuals: Floats) -> float:

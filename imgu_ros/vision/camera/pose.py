@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,17 +20,25 @@ class Pose:
     t : (3,) m
     covariance : (6, 6) of (x y z rx ry rz), m and rad, in the destination's axes: R_true = Exp(delta) R
     rms_px : root mean square reprojection error it was estimated with, px (per coordinate)
+    shared : (6, k) F: the part F F^T of the covariance is of k independent errors, of variance 1, that other poses by
+        the same camera share, in the same order; None: nothing is
     """
 
     R: Matrix3
     t: Floats
     covariance: Floats
     rms_px: float
+    shared: Floats | None = None
 
     @property
     def transform(self) -> RigidTransform:
         """The pose without its covariance."""
         return RigidTransform(self.R, self.t)
+
+    def with_shared_error(self, factor: Floats) -> Pose:
+        """Return the pose with one more error, of covariance F F^T, that other poses share; `factor` is F, (6, k)."""
+        shared = factor if self.shared is None else np.hstack((self.shared, factor))
+        return replace(self, covariance=self.covariance + factor @ factor.T, shared=shared)
 
     def inverse(self) -> Pose:
         """Return `src_from_dst`, its covariance about the new destination's axes.
@@ -49,4 +57,5 @@ class Pose:
         J = np.zeros((6, 6))
         J[:3, :3] = J[3:, 3:] = -inverse.R
         J[:3, 3:] = -inverse.R @ cross
-        return Pose(inverse.R, inverse.t, J @ self.covariance @ J.T, self.rms_px)
+        shared = None if self.shared is None else J @ self.shared
+        return Pose(inverse.R, inverse.t, J @ self.covariance @ J.T, self.rms_px, shared)

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Points
+from imgu_ros.vision.camera.camera_covariance import covariance_factor
+from imgu_ros.vision.camera.camera_derivatives import raw_by_camera
 from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
@@ -36,7 +38,7 @@ def fit_pose(points: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: flo
     ----------
     points : (N, 3) m, N >= 4, not on a line
     pixels : (N, 2) raw px, distortion and all
-    camera : intrinsics
+    camera : intrinsics; their covariance, when they have one, is in the pose's
     noise_px : standard deviation of a pixel coordinate; None: from the residuals
 
     Raises
@@ -69,7 +71,13 @@ def fit_pose(points: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: flo
     minimum = minimise(PoseProblem(points, pixels, camera), _sqpnp(points, normalized), max_iterations=30)
     R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
     rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
-    return Pose(R, t, propagated_covariance(minimum, noise_px), rms)
+    pose = Pose(R, t, propagated_covariance(minimum, noise_px), rms)
+    if camera.covariance is None:
+        return pose
+    by_pose = minimum.linearisation.jacobian.reshape(-1, 6)
+    by_camera = raw_by_camera(camera, points @ R.T + t).reshape(len(by_pose), -1)
+    of_camera = -np.linalg.solve(by_pose.T @ by_pose, by_pose.T @ by_camera)
+    return pose.with_shared_error(of_camera @ covariance_factor(camera))
 
 
 def estimate_pose(

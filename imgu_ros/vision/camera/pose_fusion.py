@@ -42,7 +42,9 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
 
     It minimises the sum of squared residuals in units of the covariances, (t_i - t, Log(R_i R^T)), by Gauss-Newton from
     the most certain estimate (Barfoot, State Estimation for Robotics, 9.1.2, with position and rotation apart). The
-    covariance is the inverse of the summed information.
+    covariance is the inverse of the summed information where the errors are independent. An error that the estimates
+    share (`Pose.shared`: the camera's calibration) does not become smaller by their number: the result has it as the
+    weights pass it on.
 
     Where the estimates contradict each other more than chance allows (99 %), something that no covariance knows of is
     wrong with them. With `slack`, which says what that can be up to a factor, each covariance gets as much of its own
@@ -51,7 +53,7 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
 
     Parameters
     ----------
-    poses : at least one, all `dst_from_src` of the same two frames
+    poses : at least one, all `dst_from_src` of the same two frames; what they share, all of them share
     slack : for each estimate a covariance (6, 6), known up to a common factor
 
     Returns
@@ -63,7 +65,8 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
     TooFewPoints
         If there are none.
     ShapeError
-        If one is no rigid transform with a finite, symmetric (6, 6) covariance, or there is not one slack for each.
+        If one is no rigid transform with a finite, symmetric (6, 6) covariance, there is not one slack for each, or
+        only some share an error.
     DegenerateConfiguration
         If a covariance is not positive definite.
     NotConverged
@@ -75,9 +78,17 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
         raise ShapeError(f"slack: {len(slack)}; need {len(poses)}, one for each pose")
     covariances = [_checked(pose.covariance, f"poses[{i}].covariance") for i, pose in enumerate(poses)]
     checked = [
-        Pose(as_rotation(pose.R, f"poses[{i}]"), as_matrix(pose.t, (3,), f"poses[{i}].t"), covariances[i], pose.rms_px)
+        Pose(
+            as_rotation(pose.R, f"poses[{i}]"),
+            as_matrix(pose.t, (3,), f"poses[{i}].t"),
+            covariances[i],
+            pose.rms_px,
+            pose.shared,
+        )
         for i, pose in enumerate(poses)
     ]
+    if len({None if pose.shared is None else np.shape(pose.shared) for pose in poses}) > 1:
+        raise ShapeError("poses: of shared errors some have more than others; need the same of all")
     if len(poses) == 1:
         return FusedPose(poses[0], 0.0)
     fit = _fit(checked, covariances)
@@ -91,7 +102,17 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
             extra = [_checked(one, f"slack[{i}]") for i, one in enumerate(slack)]
             fit = _loosened(checked, covariances, extra, freedom)
             covariance = fit.covariance
-    return FusedPose(Pose(fit.R, fit.t, covariance, max(pose.rms_px for pose in poses)), disagreement)
+    shared = _shared(checked, fit.gains)
+    if shared is not None:
+        # The fit took it for independent: what it made smaller by the number of poses is put back.
+        passed = sum(
+            gain @ (pose.shared @ pose.shared.T) @ gain.T
+            for gain, pose in zip(fit.gains, checked, strict=True)
+            if pose.shared is not None
+        )
+        covariance = covariance - passed + shared @ shared.T
+        covariance = (covariance + covariance.T) / 2
+    return FusedPose(Pose(fit.R, fit.t, covariance, max(pose.rms_px for pose in poses), shared), disagreement)
 
 
 def pose_seen_from(new_from_dst: RigidTransform, pose: Pose) -> Pose:
@@ -114,17 +135,28 @@ def pose_seen_from(new_from_dst: RigidTransform, pose: Pose) -> Pose:
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R
     covariance = as_matrix(pose.covariance, (6, 6), "pose.covariance")
-    return Pose(moved.R, moved.t, turn @ covariance @ turn.T, pose.rms_px)
+    shared = None if pose.shared is None else turn @ pose.shared
+    return Pose(moved.R, moved.t, turn @ covariance @ turn.T, pose.rms_px, shared)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """The best pose for some covariances, its own covariance, and the squared distances of the estimates from it."""
+    """The best pose for some covariances, its own covariance, and the squared distances of the estimates from it.
+
+    `gains` says how each estimate's error is passed on.
+    """
 
     R: Matrix3
     t: Floats
     covariance: Floats
     squared: float
+    gains: tuple[Floats, ...]
+
+
+def _shared(poses: Sequence[Pose], gains: Sequence[Floats]) -> Floats | None:
+    """Return the factor of the error that the result shares with all poses by the same camera."""
+    passed = [gain @ pose.shared for gain, pose in zip(gains, poses, strict=True) if pose.shared is not None]
+    return np.sum(passed, axis=0) if passed else None
 
 
 def _fit(poses: Sequence[Pose], covariances: Sequence[Floats]) -> _Fit:
@@ -139,7 +171,7 @@ def _fit(poses: Sequence[Pose], covariances: Sequence[Floats]) -> _Fit:
         R, t = exp_so3(step[3:]) @ R, t + step[:3]
         if float(step @ total @ step) < _TOLERANCE**2:
             squared = float(sum(r @ W @ r for W, r in zip(informations, residuals, strict=True)))
-            return _Fit(R, t, inverse, squared)
+            return _Fit(R, t, inverse, squared, tuple(inverse @ W for W in informations))
     raise NotConverged(f"poses: no pose between {len(poses)} of them; need estimates of the same pose")
 
 

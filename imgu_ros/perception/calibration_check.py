@@ -1,0 +1,185 @@
+"""Whether the calibration that frames come with fits what they show, accumulated over frames."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imgu_ros.errors import EstimationError
+from imgu_ros.perception.result import CalibrationFinding, TargetResult
+from imgu_ros.types import Floats, Points
+from imgu_ros.vision.camera.calibration_evidence import CalibrationEvidence, weigh_calibration
+from imgu_ros.vision.camera.calibration_test import CalibrationTest
+from imgu_ros.vision.camera.camera_covariance import factor_of
+from imgu_ros.vision.camera.intrinsics import Camera
+
+#: Views that are weighed together, the newest.
+_VIEWS = 48
+#: A view is another one when a corner has moved by this share of the target's size: a camera that stands still repeats
+#: its errors.
+_MOVED = 0.03
+#: Beyond the first views, only every so many new ones are weighed anew.
+_FEW, _EVERY = 8, 4
+#: A difference that counts: in standard deviations, more for few views, and as a share of the focal length.
+#: `benchmarks/calibration_misfit.py` tells how far right calibrations stay below.
+_SIGMAS, _FOR_FEW = 5.0, 2.0
+_LEAST = 0.005
+#: Prints and lens models are not better than this share of the focal length.
+_FLOOR = 0.001
+#: Of the squared misfit beyond chance, what the focal length must explain to be named.
+_MOST = 0.6
+#: Squared residuals so many times those of chance, over so many views at least, that no calibration explains.
+_SCATTERED, _SCATTERED_VIEWS = 8.0, 8
+#: What was once said is taken back below this share of what it took.
+_HELD = 0.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A view of a target: its outline (4, 2), the target's size in it, px, and what it says of the calibration."""
+
+    index: int
+    outline: Points
+    size_px: float
+    test: CalibrationTest
+
+
+class CalibrationCheck:
+    """Accumulates what frames say about the calibration of the camera that took them.
+
+    It forgets when the camera's numbers change.
+    """
+
+    def __init__(self) -> None:
+        self._camera: Camera | None = None
+        self._views: deque[_View] = deque(maxlen=_VIEWS)
+        self._new = 0
+        self._evidence: CalibrationEvidence | None = None
+        self._extra: Floats | None = None
+        self._finding: CalibrationFinding | None = None
+
+    @property
+    def finding(self) -> CalibrationFinding | None:
+        """What the frames so far say; None before the first pose."""
+        return self._finding
+
+    def reset(self) -> None:
+        """Forget all views."""
+        self._camera = None
+        self._forget()
+
+    def wants(self, camera: Camera, index: int, outline: Points) -> bool:
+        """Return whether a target's place says something of the calibration, or the calibration of its pose.
+
+        Parameters
+        ----------
+        camera : that took the frame
+        index, outline : of the target, and where its corners are seen, (4, 2) raw px
+        """
+        return self._extra is not None or not self._knows(camera) or self._is_new(index, outline)
+
+    def examined(self, camera: Camera | None, targets: Sequence[TargetResult]) -> tuple[TargetResult, ...]:
+        """Take what one frame says, and return its targets with what is known now in the covariances of their poses.
+
+        Parameters
+        ----------
+        camera : that took the frame; None: not calibrated
+        targets : of the frame
+        """
+        if camera is None or all(target.pose is None for target in targets):
+            return tuple(targets)
+        if not self._knows(camera):
+            self._forget()
+        self._camera = camera
+        before = self._new
+        for target in targets:
+            if target.calibration is not None and target.outline is not None:
+                self._add(target.index, target.outline, target.calibration)
+        if self._new > before and (len(self._views) <= _FEW or self._new >= _EVERY):
+            self._weigh(camera)
+        return tuple(self._with_misfit(target) for target in targets)
+
+    def _knows(self, camera: Camera) -> bool:
+        return self._camera is camera or (self._camera is not None and _same(self._camera, camera))
+
+    def _forget(self) -> None:
+        self._views.clear()
+        self._new = 0
+        self._evidence = self._extra = self._finding = None
+
+    def _is_new(self, index: int, outline: Points) -> bool:
+        seen = [view for view in self._views if view.index == index]
+        if not seen:
+            return True
+        moved = np.abs(np.array([view.outline for view in seen]) - outline).max(axis=(1, 2))
+        return bool((moved > _MOVED * np.array([view.size_px for view in seen])).all())
+
+    def _add(self, index: int, outline: Points, test: CalibrationTest) -> None:
+        if self._is_new(index, outline):
+            x, y = outline.T
+            area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+            self._views.append(_View(index, outline, math.sqrt(area), test))
+            self._new += 1
+
+    def _weigh(self, camera: Camera) -> None:
+        self._new = 0
+        try:
+            evidence = weigh_calibration([view.test for view in self._views], camera)
+        except (EstimationError, np.linalg.LinAlgError):
+            return
+        self._extra = None if evidence.covariance is None else factor_of(evidence.covariance)
+        self._finding = finding_of(evidence, self._finding)
+
+    def _with_misfit(self, target: TargetResult) -> TargetResult:
+        if self._extra is None or target.calibration is None or target.pose is None:
+            return target
+        factor = target.calibration.pose_by_camera @ self._extra
+        return replace(
+            target,
+            pose=target.pose.with_shared_error(factor),
+            solutions=tuple(pose.with_shared_error(factor) for pose in target.solutions),
+        )
+
+
+def finding_of(evidence: CalibrationEvidence, before: CalibrationFinding | None = None) -> CalibrationFinding:
+    """Return what evidence amounts to, after what was found before: what was said once is not said in other words."""
+    e, held = evidence, 1.0 if before is None or not before.warning else _HELD
+    needed = held * _SIGMAS * (1 + _FOR_FEW / e.views)
+    least = held * _LEAST
+    focal_sigma = math.hypot(e.focal_sigma, _FLOOR)
+    too_long = 1 / (1 + max(e.focal, -0.9)) - 1
+    is_focal = abs(e.focal) > max(needed * focal_sigma, least) and e.focal_share > held * _MOST
+    is_other = (e.sigmas > needed and e.largest > max(least, needed * _FLOOR)) or (
+        e.scatter > held * _SCATTERED and e.views >= _SCATTERED_VIEWS
+    )
+    warning = ""
+    if is_focal:
+        if before is not None and before.is_focal and before.warning:
+            warning = before.warning
+        else:
+            warning = (
+                f"camera_info does not fit what is seen (focal length about {100 * abs(too_long):.2g} % too "
+                f"{'long' if too_long > 0 else 'short'}?): calibrate the camera as it is now, focus, zoom and "
+                "resolution (imgu calibrate)"
+            )
+    elif is_other:
+        warning = (
+            "camera_info does not fit what is seen (and not by the focal length alone): calibrate the camera as it is "
+            "now (imgu calibrate); a rolling shutter or a target that is not flat looks like this too"
+        )
+    return CalibrationFinding(e.views, e.chi_squared, 100 * too_long, 100 * focal_sigma, is_focal, warning)
+
+
+def _same(a: Camera, b: Camera) -> bool:
+    return (
+        a.model is b.model
+        and (a.width, a.height) == (b.width, b.height)
+        and np.array_equal(a.K, b.K)
+        and np.array_equal(a.distortion, b.distortion)
+        and (a.covariance is None) == (b.covariance is None)
+        and (a.covariance is None or b.covariance is None or np.array_equal(a.covariance, b.covariance))
+    )
