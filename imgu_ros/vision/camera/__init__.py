@@ -35,6 +35,10 @@ x2 ~ K R K^-1 x1), and the y axis of 8.1.3 points up, where pictures have it dow
 from imgu_ros.vision.camera.angle_of_view import AngleOfView, angle_of_view, intrinsic_matrix, intrinsic_matrix_of_lens
 from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
 from imgu_ros.vision.camera.calibration import CalibratedView, Calibration, calibrate
+from imgu_ros.vision.camera.calibration_evidence import CalibrationEvidence, weigh_calibration
+from imgu_ros.vision.camera.calibration_test import CalibrationTest
+from imgu_ros.vision.camera.camera_covariance import as_covariance, factor_of, with_covariance
+from imgu_ros.vision.camera.camera_derivatives import ideal_by_camera, raw_by_camera
 from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projection
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
 from imgu_ros.vision.camera.correspondences import as_correspondences
@@ -75,6 +79,8 @@ __all__ = [
     "BundleState",
     "CalibratedView",
     "Calibration",
+    "CalibrationEvidence",
+    "CalibrationTest",
     "Camera",
     "CameraParts",
     "Chessboard",
@@ -93,6 +99,7 @@ __all__ = [
     "angle_of_view",
     "as_coefficients",
     "as_correspondences",
+    "as_covariance",
     "as_distortion_model",
     "as_intrinsic_matrix",
     "as_rotation",
@@ -111,6 +118,7 @@ __all__ = [
     "estimate_rotation",
     "euler_angles",
     "exp_so3",
+    "factor_of",
     "find_chessboard",
     "finite_camera",
     "fit_pose",
@@ -119,6 +127,7 @@ __all__ = [
     "from_euler",
     "from_quaternion",
     "fuse_poses",
+    "ideal_by_camera",
     "intrinsic_matrix",
     "intrinsic_matrix_of_lens",
     "log_so3",
@@ -136,13 +145,16 @@ __all__ = [
     "projection_dlt",
     "projection_matrix",
     "quaternion",
+    "raw_by_camera",
     "rigid_transform",
     "rigid_transforms",
     "rotation_from_homography",
     "rotation_homography",
     "rq",
     "unbend",
+    "weigh_calibration",
     "weighed_poses",
+    "with_covariance",
     "without_copies",
     "world_to_camera",
 ]

@@ -6,8 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgu_ros.types import Floats, Matrix3
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Floats, Matrix3, as_floats
 from imgu_ros.vision.camera.rigid import RigidTransform
+
+_LARGEST = 1e100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +39,20 @@ class Pose:
         return RigidTransform(self.R, self.t)
 
     def with_shared_error(self, factor: Floats) -> Pose:
-        """Return the pose with one more error, of covariance F F^T, that other poses share; `factor` is F, (6, k)."""
+        """Return the pose with one more error, of covariance F F^T, that other poses share.
+
+        Parameters
+        ----------
+        factor : (6, k) F
+
+        Raises
+        ------
+        ShapeError
+            If it is not that, or not finite.
+        """
+        factor = as_floats(factor, "factor")
+        if factor.ndim != 2 or len(factor) != 6 or not np.abs(factor).max(initial=0) < _LARGEST:
+            raise ShapeError(f"factor: shape {factor.shape}; need (6, k) numbers of the size of a pose's errors")
         shared = factor if self.shared is None else np.hstack((self.shared, factor))
         return replace(self, covariance=self.covariance + factor @ factor.T, shared=shared)
 

@@ -58,6 +58,7 @@ CALLS: dict[Callable[..., object], Callable[[Generator], dict[str, object]]] = {
     },
     with_covariance: lambda rng: {"camera": camera(), "covariance": np.eye(9)},
     as_covariance: lambda rng: {"covariance": np.eye(4), "name": "covariance"},
+    Pose.with_shared_error: lambda rng: {"self": pose(), "factor": rng.normal(size=(6, 3))},
     factor_of: lambda rng: {"covariance": np.eye(5)},
     raw_by_camera: lambda rng: {"camera": camera(), "points": PLANE @ pose().R[:, :2].T + pose().t},
     ideal_by_camera: lambda rng: {"camera": camera(), "ideal": seen(rng)},
