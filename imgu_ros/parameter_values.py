@@ -23,8 +23,8 @@ _SHOWN_CHARACTERS = 80
 def checked_value(name: str, value: object) -> ParameterValue:
     """Return `value` in the declared type of the parameter `name`.
 
-    An integer serves as a double, a list or numpy array as an array, and one value as an array of one; nothing else is
-    converted.
+    An integer serves as a double, a list or numpy array as an array, and one value as an array of one; the name of a
+    frame loses leading slashes; nothing else is converted.
 
     Raises
     ------
@@ -40,7 +40,8 @@ def checked_value(name: str, value: object) -> ParameterValue:
             raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need a list of {element}s")
         items = list(cast("Iterable[object]", value))
         return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
-    return cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
+    scalar = cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
+    return scalar.lstrip("/") if known.is_frame and isinstance(scalar, str) else scalar
 
 
 def value_or_empty(name: str, value: object) -> object:

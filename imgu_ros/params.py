@@ -25,7 +25,8 @@ class Declaration:
     """One parameter, as the rest of the world needs to know it.
 
     `minimum` and `maximum` are inclusive and hold for every element of a list. `type_name` is ROS's
-    (`bool`, `integer`, `double`, `string`, `string_array`, `double_array`, `integer_array`).
+    (`bool`, `integer`, `double`, `string`, `string_array`, `double_array`, `integer_array`). The value of one that
+    `is_frame` names a frame, or begins its name, and loses leading slashes, which tf2 refuses.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Declaration:
     maximum: float | None
     choices: tuple[str, ...]
     read_only: bool
+    is_frame: bool
 
 
 def parameter(
@@ -48,6 +50,7 @@ def parameter(
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    is_frame: bool = False,
 ) -> Any:
     """Declare one parameter as a dataclass field; see `Declaration` for the meanings."""
     metadata = {
@@ -57,6 +60,7 @@ def parameter(
         "maximum": maximum,
         "choices": choices,
         "read_only": read_only,
+        "is_frame": is_frame,
     }
     return field(default=default, metadata=metadata)
 
@@ -93,15 +97,21 @@ class CameraParameters:
 
 @dataclass(frozen=True, slots=True)
 class FramesParameters:
-    camera: str = parameter("", "Name of the camera's optical frame in all outputs; empty: the images' own frame_id.")
-    map: str = parameter("map", "Frame in which `targets.poses` are given.")
-    target_prefix: str = parameter("", "Put before a target's name to make its frame in /tf and in odometry.")
+    camera: str = parameter(
+        "", "Name of the camera's optical frame in all outputs; empty: the images' own frame_id.", is_frame=True
+    )
+    map: str = parameter("map", "Frame in which `targets.poses` are given.", is_frame=True)
+    target_prefix: str = parameter(
+        "", "Put before a target's name to make its frame in /tf and in odometry.", is_frame=True
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class TfParameters:
     root_frame: str = parameter(
-        "", "Root of the robot's tree, child of the map when `targets.poses` are given; empty: the camera's frame."
+        "",
+        "Root of the robot's tree, child of the map when `targets.poses` are given; empty: the camera's frame.",
+        is_frame=True,
     )
 
 

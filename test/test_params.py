@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imgu_ros.errors import ParameterError
 from imgu_ros.parameter_values import checked_value, parameter_values, parameters_from
-from imgu_ros.params import Parameters, declaration, declarations
+from imgu_ros.params import FramesParameters, Parameters, declaration, declarations
 from imgu_ros.vision.descriptors.describe import DescriptorKind
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.formation.bands import BandMode
@@ -288,3 +288,12 @@ def test_every_parameter_is_read_somewhere(repository):
 )
 def test_choices_are_those_of_the_library(name, choice):
     assert set(declaration(name).choices) == {str(member) for member in choice}
+
+
+def test_names_of_frames_lose_a_leading_slash() -> None:
+    """As tf2 has it; ROS 1 wrote them."""
+    values = {"frames.camera": "/eye", "frames.map": "//map", "frames.target_prefix": "/a/", "tf.root_frame": "/odom"}
+    parameters = parameters_from(values)
+    assert parameters.frames == FramesParameters(camera="eye", map="map", target_prefix="a/")
+    assert parameters.tf.root_frame == "odom"
+    assert checked_value("image_topic", "/camera/image_raw") == "/camera/image_raw"

@@ -13,6 +13,7 @@ from imgu_ros.bags.reading import Bag, BagMessage
 from imgu_ros.bags.topics import find_camera_info_topic
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import decode_header
+from imgu_ros.codec.header_checks import HeaderChecks
 from imgu_ros.codec.pairing import Pair, Pairing
 from imgu_ros.errors import EncodingError
 from imgu_ros.params import Parameters
@@ -43,7 +44,7 @@ class FrameSource:
     Parameters
     ----------
     bag : open
-    parameters : `image_topic`, `camera_info_topic`, `camera.rectified`
+    parameters : `image_topic`, `camera_info_topic`, `camera.rectified`, `frames.camera`
 
     Attributes
     ----------
@@ -60,6 +61,7 @@ class FrameSource:
     def __init__(self, bag: Bag, parameters: Parameters) -> None:
         self._bag = bag
         self._rectified = parameters.camera.rectified
+        self._camera_frame = parameters.frames.camera
         self.warnings: list[str] = []
         choice = choose_image_topic(bag, parameters.image_topic)
         self.image_topic = choice.topic
@@ -74,9 +76,10 @@ class FrameSource:
         info_name = None if self.camera_info_topic is None else self.camera_info_topic.name
         names = [self.image_topic.name] if info_name is None else [self.image_topic.name, info_name]
         pairing: Pairing[BagMessage, Any] = Pairing(expects_camera_info=info_name is not None)
+        headers = HeaderChecks(self.image_topic.name, info_name or "")
         remarks = Remarks()
         has_remark = False
-        for pair in self._pairs(pairing, names):
+        for pair in self._pairs(pairing, headers, names):
             recorded = _recorded(pair, rectified=self._rectified)
             if recorded.frame.image.remark and not has_remark:
                 has_remark = True
@@ -87,13 +90,18 @@ class FrameSource:
         if pairing.unmatched:
             share = f"{pairing.unmatched} of {pairing.matched + pairing.unmatched} images"
             self.warnings.append(f"{info_name}: none has the stamp of {share}; the latest one before was used")
+        self.warnings += headers.told(self._camera_frame).values()
 
-    def _pairs(self, pairing: Pairing[BagMessage, Any], names: list[str]) -> Iterator[Pair[BagMessage, Any]]:
+    def _pairs(
+        self, pairing: Pairing[BagMessage, Any], headers: HeaderChecks, names: list[str]
+    ) -> Iterator[Pair[BagMessage, Any]]:
         for message in self._bag.messages(names):
             stamp_ns = decode_header(message.message).stamp_ns
             if message.topic == self.image_topic.name:
+                headers.add_image(message.message)
                 yield from pairing.add_image(stamp_ns, message)
             else:
+                headers.add_camera_info(message.message)
                 yield from pairing.add_camera_info(stamp_ns, message.message)
         yield from pairing.flush()
 

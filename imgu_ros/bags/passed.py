@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imgu_ros.bags.reasons import Reasons
+from imgu_ros.files.pose_files import RisingStamps
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status
@@ -28,6 +29,7 @@ class Passed:
     image_size : width and height of the first frame that was read, px; 0 without one
     layout : of that frame, such as `bayer rggb uint16`
     camera : of that frame
+    trajectories : which poses the targets' .tum files have
     """
 
     frames: int = 0
@@ -38,6 +40,7 @@ class Passed:
     image_size: tuple[int, int] = (0, 0)
     layout: str = ""
     camera: Camera | None = None
+    trajectories: RisingStamps = field(default_factory=RisingStamps)
 
     def add(self, result: Result) -> str:
         """Count a frame; return why it was rejected, when it was and for a reason that is new."""
@@ -52,7 +55,16 @@ class Passed:
             if target.reason:
                 status = target.pose_status if target.status.found else target.status
                 self.reasons.add(status.value, target.reason)
+            if target.pose is not None:
+                self.trajectories.takes(target.name, result.frame.stamp_ns)
         return ""
+
+    def warnings(self) -> list[str]:
+        """Return what the user should know of the results."""
+        return [
+            f"poses_{name}.tum: {count} poses left out, whose stamps do not rise; frames.csv has all of them"
+            for name, count in self.trajectories.left_out.items()
+        ]
 
     def _describe(self, frame: Frame) -> None:
         height, width = frame.image.pixels.shape[:2]

@@ -24,6 +24,7 @@ from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.result import Result, Status, TargetResult
+from imgu_ros.perception.size_checks import SizeChecks
 from imgu_ros.perception.targets import Target, prepare_targets
 from imgu_ros.report.summary import Source, Summary
 from imgu_ros.simulate.truth import read_truth
@@ -91,7 +92,7 @@ def replay(
         total = source.image_topic.count
         sink.open(Files(out, parameters, tuple(target.name for target in targets), recorded, total))
         passed = _Run(total, targets, parameters, recorded, warnings, on_progress).over(chained([first], frames), sink)
-        warnings.add(bag.warnings, source.warnings)
+        warnings.add(bag.warnings, source.warnings, passed.warnings())
         described = Source(
             bags=tuple(str(path) for path in bags),
             truth="" if truth is None else str(truth),
@@ -144,7 +145,7 @@ class _Run:
     def over(self, frames: Iterator[ReadFrame], sink: ResultSink) -> Passed:
         passed = Passed()
         names = [target.name for target in self.targets]
-        worker = Chain(self.parameters, self.targets)
+        worker, sizes = Chain(self.parameters, self.targets), SizeChecks(self.targets)
         with_keypoints = needs_keypoints(self.record)
         start = time.monotonic()
         with quick_thread_switches(), one_processor_left_over():
@@ -155,6 +156,7 @@ class _Run:
                     else worker.process(read.frame, with_keypoints, read.development)
                 )
                 sink.put(Written(result, read.time_ns))
+                self.warnings.add(sizes.add(result))
                 reason = passed.add(result)
                 if reason:
                     self.warnings.add([f"rejected: {reason}"])

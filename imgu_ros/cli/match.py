@@ -58,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.cli.warning import warn
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.perception.chain import Chain
+    from imgu_ros.perception.size_checks import SizeChecks
     from imgu_ros.perception.targets import prepare_targets
 
     targets = prepare_targets(load_target_images(parameters.targets, warn), parameters)
@@ -70,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         if line:
             print(f"imgu: warning: {line}", file=sys.stderr)
     print(described(result))
+    for warning in SizeChecks(targets).add(result):
+        print(f"imgu: warning: {warning}", file=sys.stderr)
     if arguments.json:
         from imgu_ros.files.text_files import write_text
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.codec.factory import MessageFactory
-from imgu_ros.codec.header import Header, decode_header, header_message
+from imgu_ros.codec.header import Header, decode_header, frame_name, header_message
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.perception.frame_tree import StampedTransform
 from imgu_ros.types import Floats, Matrix3, Points
@@ -23,6 +23,7 @@ UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_COVARIANCE = np.diag(np.full(6, UNKNOWN_VARIANCE)).reshape(36)
 
 _PATH_PERIOD_NS = 1_000_000_000
+_STANDING_POSES = 30
 
 
 def outline_message(make: MessageFactory, header: Header, outline: Points) -> Any:
@@ -67,7 +68,8 @@ def odometry_message(make: MessageFactory, header: Header, target_frame: str, ca
 class PathHistory:
     """The way of the camera before one target, as nav_msgs/Path at most once a second of the frames' stamps.
 
-    A path holds the last `max_length` poses; when stamps jump back by more than a second it starts anew.
+    Where stamps stand still (all 0) it goes out with every thirtieth pose. A path holds the last `max_length` poses;
+    when stamps jump back by more than a second it starts anew.
 
     Parameters
     ----------
@@ -86,6 +88,7 @@ class PathHistory:
         self.resize(max_length)
         self._last_ns: int | None = None
         self._sent_ns: int | None = None
+        self._standing = 0
 
     def resize(self, max_length: int) -> None:
         """Hold another number of poses, >= 1, from now on; the latest stay."""
@@ -113,9 +116,11 @@ class PathHistory:
                 pose=_pose(make, target_from_camera.R, target_from_camera.t),
             )
         )
-        if self._sent_ns is not None and stamp_ns < self._sent_ns + _PATH_PERIOD_NS:
+        self._standing = self._standing + 1 if stamp_ns == self._sent_ns else 0
+        due = self._sent_ns is None or stamp_ns >= self._sent_ns + _PATH_PERIOD_NS
+        if not due and self._standing < _STANDING_POSES:
             return None
-        self._sent_ns = stamp_ns
+        self._sent_ns, self._standing = stamp_ns, 0
         return make("nav_msgs/msg/Path", header=header_message(make, header), poses=list(self._poses))
 
 
@@ -146,7 +151,7 @@ def decode_tf_message(message: Any) -> list[StampedTransform]:
     for one in message.transforms:
         header, moved, turned = decode_header(one), one.transform.translation, one.transform.rotation
         numbers = [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
-        parent, child = header.frame_id.lstrip("/"), str(one.child_frame_id).lstrip("/")
+        parent, child = header.frame_id, frame_name(str(one.child_frame_id))
         if parent and child and parent != child:
             with suppress(ShapeError):
                 transforms.append(StampedTransform(header.stamp_ns, parent, child, rigid_transform(numbers)))

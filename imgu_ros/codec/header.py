@@ -23,11 +23,17 @@ class Header:
 def decode_header(message: Any) -> Header:
     """Read the header of `message` (any message with a `header` field).
 
-    A part of a second that is a second and more, which no clock gives, counts as the second's last nanosecond.
+    A part of a second that is a second and more, which no clock gives, counts as the second's last nanosecond. A
+    leading slash, as ROS 1 wrote it, is not part of a frame's name: tf2 refuses names that have one.
     """
     stamp = message.header.stamp
     part_ns = min(int(stamp.nanosec), _SECOND_NS - 1)
-    return Header(int(stamp.sec) * _SECOND_NS + part_ns, str(message.header.frame_id))
+    return Header(int(stamp.sec) * _SECOND_NS + part_ns, frame_name(str(message.header.frame_id)))
+
+
+def frame_name(given: str) -> str:
+    """Return a frame's name without leading slashes."""
+    return given.lstrip("/")
 
 
 def header_message(make: MessageFactory, header: Header) -> Any:

@@ -14,7 +14,8 @@ runs ahead of the other by more than the hold depth:
   no longer wait, so that they are not late for nothing; the first match, or a camera_info that comes just after its
   image, ends that.
 - Stamps that jump back by more than a second start a new recording (a bag played in a loop): camera_info from after
-  the jump's target is forgotten, since it would make everything look lost.
+  the jump's target is forgotten, since it would make everything look lost; the newest of it serves until another
+  comes (camera_info that is sent once, a stamp of 0 among others).
 """
 
 from __future__ import annotations
@@ -84,6 +85,7 @@ class Pairing(Generic[ImageT, InfoT]):
         self._waiting: deque[_Waiting[ImageT]] = deque()
         self._infos: OrderedDict[int, InfoT] = OrderedDict()  # by stamp, in order of arrival
         self._missed: deque[int] = deque(maxlen=_PATIENCE)  # stamps of the last images without a match
+        self._forgotten: InfoT | None = None
 
     def add_image(self, stamp_ns: int, image: ImageT) -> list[Pair[ImageT, InfoT]]:
         """Take the next image."""
@@ -135,9 +137,9 @@ class Pairing(Generic[ImageT, InfoT]):
         return any(info_ns > stamp_ns for info_ns in self._infos)
 
     def _nearest(self, stamp_ns: int) -> InfoT | None:
-        """Return the latest camera_info before a stamp, else the first after it, else None."""
+        """Return the latest camera_info before a stamp, else the first after it, else one of before a jump, or None."""
         if not self._infos:
-            return None
+            return self._forgotten
         earlier = [info_ns for info_ns in self._infos if info_ns < stamp_ns]
         return self._infos[max(earlier) if earlier else min(self._infos)]
 
@@ -152,7 +154,7 @@ class Pairing(Generic[ImageT, InfoT]):
 
     def _forget_after(self, stamp_ns: int) -> None:
         for info_ns in [ns for ns in self._infos if ns > stamp_ns + _JUMP_NS]:
-            del self._infos[info_ns]
+            self._forgotten = self._infos.pop(info_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,8 +21,26 @@ AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_
 _SECOND_NS = 1_000_000_000
 
 
+class RisingStamps:
+    """Tells which poses a trajectory has: those whose stamp is later than that of every pose before, of each target."""
+
+    def __init__(self) -> None:
+        self.left_out: dict[str, int] = {}
+        self._last_ns: dict[str, int] = {}
+
+    def takes(self, target: str, stamp_ns: int) -> bool:
+        """Return whether a target's trajectory has a pose of this stamp; if not, it is counted in `left_out`."""
+        if target in self._last_ns and stamp_ns <= self._last_ns[target]:
+            self.left_out[target] = self.left_out.get(target, 0) + 1
+            return False
+        self._last_ns[target] = stamp_ns
+        return True
+
+
 class PoseFiles:
     """Writes a trajectory for each target, and both solutions where two fit; a context manager.
+
+    Stamps of a trajectory rise, as every reader of its format expects: see `RisingStamps`.
 
     Parameters
     ----------
@@ -32,6 +50,7 @@ class PoseFiles:
 
     def __init__(self, out: Path, targets: Sequence[str]) -> None:
         self._stack = ExitStack()
+        self._rising = RisingStamps()
         self._trajectories = {name: self._open(out / f"poses_{name}.tum") for name in targets}
         self._ambiguous = csv.writer(self._open(out / "ambiguous.csv"), lineterminator="\n")
         self._ambiguous.writerow(AMBIGUOUS_COLUMNS)
@@ -49,6 +68,8 @@ class PoseFiles:
         frame = result.frame
         for target in result.targets:
             if target.pose is not None:
+                if not self._rising.takes(target.name, frame.stamp_ns):
+                    continue
                 numbers = " ".join(repr(float(value)) for value in target.pose.inverse().transform.numbers())
                 self._trajectories[target.name].write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
             elif target.pose_status is PoseStatus.AMBIGUOUS:

@@ -271,6 +271,98 @@ def test_uncalibrated_is_said_once(
     assert (tmp_path / "out" / "poses_poster.tum").read_text() == ""
 
 
+def with_header(message: Any, stamp_ns: int | None = None, **changed: object) -> Any:
+    if stamp_ns is not None:
+        stamp = with_fields(message.header.stamp, sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        changed["stamp"] = stamp
+    return with_fields(message, header=with_fields(message.header, **changed))
+
+
+#: Stamps of five frames, s: how many poses rise, and what is said of the others.
+STAMPS: dict[str, tuple[list[float], int, str]] = {
+    "zero": ([0, 0, 0, 0, 0], 1, "are 0 in 4 of 5 images"),
+    "repeated": ([5, 5.1, 5.1, 5.2, 5.2], 3, "are repeated in 2 of 5 images (first at 5100000000 ns)"),
+    "falling": ([5, 5.2, 5.1, 5.15, 5.3], 3, "fall in 1 of 5 images (first by 0.1 s at 5100000000 ns)"),
+    "set back": ([50, 50.1, 5, 5.1, 5.2], 2, "jump back in 1 of 5 images (first by 45.1 s at 5000000000 ns)"),
+    "from zero": ([0, 0.1, 0.2, 0.3, 0.4], 5, ""),
+}
+
+
+@pytest.mark.parametrize("kind", STAMPS)
+def test_stamps_that_do_not_rise(
+    rewritten: Callable[..., Path], clean: Path, parameters: Parameters, tmp_path: Path, kind: str
+) -> None:
+    stamps, written, said = STAMPS[kind]
+    bag = rewritten(lambda index, message: with_header(message, round(stamps[index] * 10**9)))
+    warnings: list[str] = []
+    summary = replay([bag], tmp_path / "out", parameters, on_warning=warnings.append)
+    got = rows(tmp_path / "out")
+    # Every frame has its row and its pose.
+    assert [int(row["stamp_ns"]) for row in got] == [round(stamp * 10**9) for stamp in stamps]
+    for row, known in zip(got, rows(clean), strict=True):
+        assert row["pose_status"] == "metric"
+        assert np.allclose([float(row[c]) for c in ("tx", "ty", "tz")],
+                           [float(known[c]) for c in ("tx", "ty", "tz")], atol=2e-3)  # fmt: skip
+    # A trajectory rises, as its readers need it.
+    times = [float(line.split()[0]) for line in (tmp_path / "out" / "poses_poster.tum").read_text().splitlines()]
+    assert len(times) == written and (np.diff(times) > 0).all()
+    about = [text for text in warnings if text.startswith(f"stamps of {IMAGE} ")]
+    assert len(about) == bool(said) and all(said in text for text in about)
+    left_out = (
+        f"poses_poster.tum: {FRAMES - written} poses left out, whose stamps do not rise; frames.csv has all of them"
+    )
+    assert (left_out in warnings) == (written < FRAMES)
+    assert set(warnings) <= set(summary.warnings)
+
+
+@pytest.mark.parametrize(("frame_id", "goes_out"), [("/camera/optical", "camera/optical"), ("//eye", "eye"), ("", "")])
+def test_names_of_frames(
+    rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path, frame_id: str, goes_out: str
+) -> None:
+    bag = rewritten(lambda _, message: with_header(message, frame_id=frame_id))
+    said: list[str] = []
+    replay([bag], tmp_path / "out", parameters, on_warning=said.append)
+    assert {row["frame_id"] for row in rows(tmp_path / "out")} == {goes_out}
+    with open_bag([tmp_path / "out" / "results"]) as results:
+        names = {m.message.header.frame_id for m in results.messages(["/pose", "/homography"])}
+        children = {m.message.child_frame_id for m in results.messages(["/odom"])}
+    assert names == children == {goes_out}
+    (line,) = [text for text in said if text.startswith("frame_id")]
+    if frame_id:
+        assert line.endswith(f"{frame_id!r}; tf2 refuses a leading slash: {goes_out!r} goes out")
+    else:
+        assert "is empty" in line and "set frames.camera" in line
+    # A name of the user's own stands for all.
+    named = parameters_from({"frames.camera": "/mine", "frames.map": "/map"}, parameters)
+    said.clear()
+    replay([bag], tmp_path / "named", named, on_warning=said.append)
+    assert not [text for text in said if text.startswith("frame_id")]
+    with open_bag([tmp_path / "named" / "results"]) as results:
+        assert {m.message.header.frame_id for m in results.messages(["/pose"])} == {"mine"}
+
+
+def test_a_camera_info_of_another_frame_is_said_once(
+    rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path
+) -> None:
+    bag = rewritten(lambda _, message: with_header(message, frame_id="base") if hasattr(message, "k") else message)
+    said: list[str] = []
+    replay([bag], tmp_path / "out", parameters, on_warning=said.append)
+    (line,) = [text for text in said if text.startswith("frame_id")]
+    assert "/camera/camera_info: 'base'" in line and "'camera_optical_frame'; the images' goes out" in line
+
+
+@pytest.mark.parametrize(("width_m", "likely"), [(50.0, "0.5 (50 cm)"), (500.0, "0.5 (500 mm)"), (0.0005, "0.5")])
+def test_a_width_of_another_unit_is_said_once(
+    bag: Path, parameters: Parameters, tmp_path: Path, width_m: float, likely: str
+) -> None:
+    wrong = parameters_from({"targets.widths_m": [width_m]}, parameters)
+    said: list[str] = []
+    summary = replay([bag], tmp_path / "out", wrong, on_warning=said.append)
+    (line,) = [text for text in said if text.startswith("targets.widths_m")]
+    assert line.startswith(f"targets.widths_m {width_m:g}: poster would be ") and f"did you mean {likely}" in line
+    assert line in summary.warnings
+
+
 @pytest.mark.parametrize("field", [{"k": np.full(9, np.nan)}, {"width": 100, "height": 100}])
 def test_bad_camera_info_costs_its_frame_the_pose_alone(
     rewritten: Callable[..., Path], parameters: Parameters, tmp_path: Path, field: dict[str, object]

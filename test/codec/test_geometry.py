@@ -91,6 +91,21 @@ def test_path_is_bounded_and_starts_anew_after_a_jump(make):
         PathHistory(make, "poster", 0)
 
 
+def test_path_goes_out_although_no_frame_has_a_stamp(make):
+    history = PathHistory(make, "poster", 1000)
+    due = [n for n in range(95) if history.add(0, some_pose()) is not None]
+    assert due == [0, 30, 60, 90]
+
+
+def test_path_of_another_length_keeps_the_latest(make):
+    history = PathHistory(make, "poster", 10)
+    for n in range(8):
+        history.add(n * SECOND_NS, some_pose())
+    history.resize(3)
+    path = history.add(8 * SECOND_NS, some_pose())
+    assert [decode_header(p).stamp_ns // SECOND_NS for p in path.poses] == [6, 7, 8]
+
+
 def test_tf():
     from imgu_ros.bags.messages import make_message
 

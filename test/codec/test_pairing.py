@@ -67,6 +67,17 @@ def test_images_without_stamps_get_a_camera_info():
     assert {pair.camera_info for pair in pairs} == {1}
 
 
+def test_a_camera_info_that_is_sent_once_survives_a_jump_of_the_stamps():
+    """A stamp of 0 among others, a clock that is set back: nothing newer comes."""
+    second = 10**9
+    pairing: Pairing[int, int] = Pairing()
+    pairing.add_camera_info(50 * second, 1)
+    pairs = [pair for n in (50, 51, 0, 52, 5, 6, 7, 8, 9) for pair in pairing.add_image(n * second, n)]
+    pairs += pairing.flush()
+    assert [pair.image for pair in pairs] == [50, 51, 0, 52, 5, 6, 7, 8, 9]
+    assert {pair.camera_info for pair in pairs} == {1}
+
+
 def test_no_camera_info_at_all():
     assert run("i1 i2 i3 i4") == [(1, None), (2, None), (3, None), (4, None)]
 

@@ -239,6 +239,18 @@ def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
     assert chain.process(late[3]).targets[0].status is Status.TRACKED
 
 
+def test_frames_without_stamps_are_tracked(one_target_frames: Frames, targets: Targets) -> None:
+    """Their motion is not predicted, and they are found all the same, as exactly."""
+    stamped, none = Chain(Parameters(), targets), Chain(Parameters(), targets)
+    for index, simulated in enumerate(one_target_frames[:8]):
+        expected = stamped.process(simulated.frame).targets[0]
+        result = none.process(replace(simulated.frame, stamp_ns=0)).targets[0]
+        assert result.status is (Status.TRACKED if index else Status.DETECTED)
+        assert expected.homography is not None and result.homography is not None
+        size = simulated.frame.image.pixels.shape[1::-1]
+        assert corner_error(result.homography.H, expected.homography.H, targets[0].size, size) < 0.1
+
+
 def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
     """The simulated sensor is linear, as a raw one, and the targets' pictures are sRGB: said so, errors are smaller."""
     images = default_targets(1)

@@ -1,0 +1,139 @@
+"""What is odd about the headers of an image topic and its camera_info: stamps that do not rise, names of no frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+from imgu_ros.codec.header import decode_header, frame_name
+
+#: As in the chain: stamps that jump back by more belong to another recording, or to the same one played again.
+_JUMP_NS = 1_000_000_000
+#: What was seen in none of so many images is over.
+_FORGOTTEN = 300
+
+
+class Oddity(StrEnum):
+    """What can be odd."""
+
+    SLASH = "frame_slash"  #: frame_id begins with a slash
+    NO_FRAME = "no_frame"  #: frame_id is empty
+    OTHER_FRAME = "other_frame"  #: camera_info has another frame_id than the images
+    ZERO = "zero_stamps"
+    REPEATED = "repeated_stamps"
+    FALLING = "falling_stamps"
+    JUMP = "stamps_jump_back"
+
+
+class HeaderChecks:
+    """Looks at the headers of one image topic and of its camera_info.
+
+    Parameters
+    ----------
+    image_topic, info_topic : their names, for people
+    """
+
+    def __init__(self, image_topic: str, info_topic: str) -> None:
+        self._image_topic, self._info_topic = image_topic, info_topic
+        self._images = 0
+        self._counts: dict[Oddity, int] = {}
+        self._last_seen: dict[Oddity, int] = {}
+        self._details: dict[Oddity, str] = {}
+        self._last_ns: int | None = None
+        self._frame_id: str | None = None
+
+    @property
+    def counts(self) -> Mapping[Oddity, int]:
+        """How many messages had each oddity."""
+        return self._counts
+
+    def add_image(self, message: Any) -> None:
+        """Look at the next image."""
+        self._images += 1
+        frame_id = str(message.header.frame_id)
+        self._frame_id = frame_id
+        if frame_id.startswith("/"):
+            self._note(Oddity.SLASH, frame_id)
+        if not frame_name(frame_id):
+            self._note(Oddity.NO_FRAME, frame_id)
+        stamp_ns = decode_header(message).stamp_ns
+        last_ns, self._last_ns = self._last_ns, stamp_ns
+        if stamp_ns == 0:
+            # A simulation may begin at 0.
+            if last_ns == 0 or Oddity.ZERO in self._counts:
+                self._note(Oddity.ZERO, "")
+        elif last_ns is None or stamp_ns > last_ns:
+            return
+        elif stamp_ns == last_ns:
+            self._note(Oddity.REPEATED, f"first at {stamp_ns} ns")
+        else:
+            back_s = (last_ns - stamp_ns) / 1e9
+            self._note(
+                Oddity.JUMP if back_s > _JUMP_NS / 1e9 else Oddity.FALLING, f"by {back_s:.6g} s at {stamp_ns} ns"
+            )
+
+    def add_camera_info(self, message: Any) -> None:
+        """Look at the next camera_info."""
+        frame_id = str(message.header.frame_id)
+        if self._frame_id is not None and frame_name(frame_id) != frame_name(self._frame_id):
+            self._note(Oddity.OTHER_FRAME, frame_id)
+
+    def told(self, camera_frame: str = "", *, lately: bool = False) -> dict[Oddity, str]:
+        """Return a line for people about each oddity.
+
+        Parameters
+        ----------
+        camera_frame : the parameter `frames.camera`, which stands for all names of the images' frame
+        lately : only what was seen in the last 300 images
+        """
+        of_frames = (Oddity.SLASH, Oddity.NO_FRAME, Oddity.OTHER_FRAME)
+        return {
+            oddity: self._line(oddity)
+            for oddity in Oddity
+            if oddity in self._counts
+            and not (camera_frame and oddity in of_frames)
+            and not (lately and self._images - self._last_seen[oddity] >= _FORGOTTEN)
+        }
+
+    def _note(self, oddity: Oddity, detail: str) -> None:
+        self._counts[oddity] = self._counts.get(oddity, 0) + 1
+        self._last_seen[oddity] = self._images
+        self._details.setdefault(oddity, detail)
+
+    def _line(self, oddity: Oddity) -> str:
+        topic, detail = self._image_topic, self._details[oddity]
+        share = f"{self._counts[oddity]} of {self._images} images"
+        match oddity:
+            case Oddity.SLASH:
+                return f"frame_id of {topic}: {detail!r}; tf2 refuses a leading slash: {frame_name(detail)!r} goes out"
+            case Oddity.NO_FRAME:
+                return (
+                    f"frame_id of {topic} is empty: poses are in no frame, nothing can go to /tf; set frames.camera "
+                    "to the name of the camera's optical frame"
+                )
+            case Oddity.OTHER_FRAME:
+                return (
+                    f"frame_id of {self._info_topic}: {detail!r}, of {topic}: {self._frame_id!r}; the images' goes "
+                    "out; set frames.camera if it is wrong"
+                )
+            case Oddity.ZERO:
+                return (
+                    f"stamps of {topic} are 0 in {share}: no motion is predicted, and /tf and .tum files need stamps "
+                    "that rise; have the driver stamp its images"
+                )
+            case Oddity.REPEATED:
+                return (
+                    f"stamps of {topic} are repeated in {share} ({detail}): no motion is predicted there, and a .tum "
+                    "file has the first of each alone"
+                )
+            case Oddity.FALLING:
+                return (
+                    f"stamps of {topic} fall in {share} (first {detail}): images are worked on as they come, and a "
+                    ".tum file leaves out what does not rise"
+                )
+            case Oddity.JUMP:
+                return (
+                    f"stamps of {topic} jump back in {share} (first {detail}): a recording that begins anew, or a "
+                    "clock that was set; tracks and paths begin anew"
+                )
