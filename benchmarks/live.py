@@ -114,7 +114,10 @@ def measure(folder: Path, arguments: argparse.Namespace, count: int) -> Figures:
     os.environ["ROS_DOMAIN_ID"] = str(arguments.domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ.pop(PROFILE_VARIABLE, None)
-    if not arguments.no_profile:
+    if arguments.no_profile:
+        # The commands leave those alone who choose their transports themselves.
+        os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "DEFAULT"
+    else:
         os.environ[PROFILE_VARIABLE] = str(profile_path())
     load = os.getloadavg()[0]
     imgu = [sys.executable, "-m", "imgu_ros.cli.main"]

@@ -25,7 +25,7 @@ SHARED = (
     ("params_file", "", "parameter file for all of them"),
     ("publish_tf", "", "true: camera -> target on /tf; empty: as params_file says"),
     ("use_sim_time", "", "true: time comes from /clock; empty: as params_file says"),
-    ("large_images", "true", "true: use the DDS profile for large images"),
+    ("large_images", "true", "false: without the DDS profile for large images, which the nodes set for themselves"),
 )
 
 

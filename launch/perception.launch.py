@@ -3,8 +3,9 @@
     ros2 launch imgu_ros perception.launch.py image:=/camera/image_raw target:=/path/to/poster.png width_m:=0.42
     ros2 launch imgu_ros perception.launch.py namespace:=camera params_file:=perception.yaml rviz:=true
 
-`ros2 launch imgu_ros perception.launch.py --show-args` lists the arguments. The DDS profile for large images is on for
-this node; turn it on for the camera's driver too (FASTRTPS_DEFAULT_PROFILES_FILE).
+`ros2 launch imgu_ros perception.launch.py --show-args` lists the arguments. The node sets the DDS profile for large
+images for itself; the camera's driver needs it too: `imgu node --print-dds-profile` prints the file that its
+FASTRTPS_DEFAULT_PROFILES_FILE must name.
 """
 
 from pathlib import Path
@@ -13,6 +14,7 @@ from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
 
@@ -29,7 +31,7 @@ ARGUMENTS = (
     ("publish_tf", "", "true: camera -> target, and map -> root with targets.poses; empty: as params_file says"),
     ("target_prefix", "", "put before the targets' names to make their frames; empty: as params_file says"),
     ("use_sim_time", "", "true: time comes from /clock; empty: as params_file says"),
-    ("large_images", "true", "true: use the DDS profile for large images"),
+    ("large_images", "true", "false: without the DDS profile for large images, which the node sets for itself"),
     ("log_level", "info", "debug, info, warn, error"),
     ("rviz", "false", "true: start RViz, too"),
     ("fixed_frame", "", "RViz's fixed frame; empty: the target's, or the map"),
@@ -49,30 +51,30 @@ def _nodes(context):
     given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
     share = Path(get_package_share_directory("imgu_ros"))
     parameters = {}
+    # launch_ros takes texts for YAML (`on`, `007`, `a: b`) unless their type is given.
     if given["transport"]:
-        parameters["image_transport"] = given["transport"]
+        parameters["image_transport"] = ParameterValue(given["transport"], value_type=str)
     for name in ("use_sim_time", "publish_tf"):
         if given[name]:
             parameters[name] = _is_true(given, name)
     if given["target"]:
-        parameters["targets.images"] = [given["target"]]
+        parameters["targets.images"] = ParameterValue([given["target"]], value_type=list[str])
         parameters["targets.widths_m"] = [_number(given, "width_m")]
     if given["target_prefix"]:
-        parameters["frames.target_prefix"] = given["target_prefix"]
+        parameters["frames.target_prefix"] = ParameterValue(given["target_prefix"], value_type=str)
     remappings = [("image_raw", given["image"])]
     if given["camera_info"]:
         remappings.append(("camera_info", given["camera_info"]))
-    profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(share / "config" / "fastdds_large_images.xml")}
     perception = Node(
         package="imgu_ros",
         executable="imgu",
         arguments=["node", "perception"],
         name=given["name"],
         namespace=given["namespace"],
-        parameters=[*filter(None, [given["params_file"], parameters])],
+        parameters=[*filter(None, [_file(given, "params_file"), parameters])],
         remappings=remappings,
         ros_arguments=["--log-level", given["log_level"]],
-        additional_env=profile if _is_true(given, "large_images") else {},
+        additional_env={} if _is_true(given, "large_images") else {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"},
         output="screen",
     )
     return [perception, *([_rviz(given, share)] if _is_true(given, "rviz") else [])]
@@ -88,6 +90,14 @@ def _rviz(given, share):
         arguments=["-d", str(share / "config" / "perception.rviz"), "-f", frame],
         parameters=[{"use_sim_time": given["use_sim_time"] == "true"}],
     )
+
+
+def _file(given, name):
+    """Return the path of a file; launch_ros would leave out one that is not there, with a warning."""
+    path = Path(given[name]).expanduser()
+    if given[name] and not path.is_file():
+        raise ValueError(f"{name}: {given[name]!r}: no such file; need a parameter file")
+    return str(path) if given[name] else ""
 
 
 def _is_true(given, name):

@@ -62,7 +62,6 @@ def _processes(context):
             LaunchConfiguration("rate").perform(context),
             *(["--loop"] if loop else []),
         ],
-        additional_env={"FASTRTPS_DEFAULT_PROFILES_FILE": str(share / "config" / "fastdds_large_images.xml")},
         output="screen",
     )
     perception = IncludeLaunchDescription(

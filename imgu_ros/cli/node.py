@@ -63,8 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"imgu: error: {error}", file=sys.stderr)
         return 2
 
+    from imgu_ros.ros.middleware import set_profile
     from imgu_ros.ros.stopping import Stopped, StopSignal
 
+    set_profile()
     with StopSignal() as stop:
         try:
             with stop.interruptible():

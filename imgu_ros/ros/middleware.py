@@ -1,4 +1,10 @@
-"""The DDS profile for large images: where it is, whether it is on, and whether the machine has room for it."""
+"""The DDS profile for large images: which one fits this machine, setting it for this process, and what is said of it.
+
+Fast DDS gives a process that sends 512 KB of shared memory, less than one frame. The profile must be in force in every
+process that sends large images; the commands of this package set it for themselves. Fast DDS 2 (ROS 2 Jazzy) reads
+`FASTRTPS_DEFAULT_PROFILES_FILE` and `DEFAULT_FASTRTPS_PROFILES.xml` in the working directory, Fast DDS 3 the same with
+`FASTDDS`; `FASTDDS_BUILTIN_TRANSPORTS` chooses other transports.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +15,38 @@ from pathlib import Path
 import imgu_ros
 from imgu_ros.errors import FileError
 
-#: The environment variable with which Fast DDS loads a profile.
+#: The environment variable with which Fast DDS loads a profile; and what it is called in Fast DDS 3.
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _VARIABLES = (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE")
-#: Shared memory that each process takes with the profile.
-SEGMENT_BYTES = 64 * 1024 * 1024
+_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+_TRANSPORTS_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+#: Fast DDS does not read the file of the working directory when this is "1".
+_SKIP_VARIABLE = "SKIP_DEFAULT_XML_FILE"
 #: Messages above this overflow Fast DDS's default segment of 512 KB.
 LARGE_BYTES = 500_000
 
+#: Messages that may be under way at once: one that is written, one that is read, and one behind.
+_FRAMES_IN_FLIGHT = 3
+#: Fast DDS takes the whole segment at once, and some more to manage it.
+_OVERHEAD = 1.1
 _SHARED_MEMORY = Path("/dev/shm")
+_ROOM = "Docker: --shm-size=512m"
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """A file of `config/`, the shared memory that a process takes with it, and how much the machine must have."""
+
+    name: str
+    segment_bytes: int
+    least_total_bytes: int
+
+
+#: From large to small. The small one leaves room for four processes in Docker's default of 64 MB.
+PROFILES = (
+    Profile("fastdds_large_images.xml", 64 * 2**20, 500_000_000),
+    Profile("fastdds_large_images_small.xml", 12 * 2**20, 48 * 2**20),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +57,33 @@ class SharedMemory:
     free: int
 
 
+def set_profile() -> None:
+    """Set the profile for large images in this process's environment, unless the user has chosen otherwise.
+
+    To be called before the first node is made. It changes nothing when a profile is set by either variable or lies in
+    the working directory, transports are chosen by `FASTDDS_BUILTIN_TRANSPORTS` (`DEFAULT` switches the profile off),
+    the middleware is not Fast DDS, or the shared memory is too small.
+    """
+    profile = None if _choice_of_the_user() else _fitting()
+    if profile is not None:
+        for name in _VARIABLES:
+            os.environ[name] = str(config_file(profile.name))
+
+
+def profile_line() -> str:
+    """Return which profile is in force in this process, and why, for the log."""
+    ours = _ours()
+    if ours is not None:
+        return (
+            f"DDS profile: {ours.name}, {ours.segment_bytes / 1e6:.0f} MB of shared memory for what this process sends"
+        )
+    reason = _choice_of_the_user() or ("none" if _fitting() else f"none, {_too_little_memory()}")
+    return f"DDS profile: {reason}"
+
+
 def profile_path() -> Path:
-    """Return the installed profile for large images."""
-    return config_file("fastdds_large_images.xml")
+    """Return the installed profile that fits this machine's shared memory, the smallest if none does."""
+    return config_file((_fitting() or PROFILES[-1]).name)
 
 
 def config_file(name: str) -> Path:
@@ -57,22 +110,30 @@ def large_message_warnings(message_bytes: int) -> list[str]:
     ----------
     message_bytes : size of one image message
     """
-    if message_bytes <= LARGE_BYTES or not _is_fast_dds():
+    ours = _ours()
+    if message_bytes <= LARGE_BYTES or (ours is None and _choice_of_the_user()):
         return []
     size = f"{message_bytes / 1e6:.1f} MB"
-    if not _has_profile():
+    if ours is None and _fitting() is None:
+        return [f"images of {size} and no DDS profile: {_too_little_memory()}"]
+    if ours is None:
         return [f"images of {size} and no DDS profile: the default shared memory of 512 KB loses frames; {_turn_on()}"]
-    small = _too_little_memory()
-    return [small] if small else []
+    if message_bytes * _FRAMES_IN_FLIGHT > ours.segment_bytes:
+        return [f"images of {size} and shared memory of {ours.segment_bytes / 1e6:.0f} MB: frames get lost; {_more()}"]
+    return []
 
 
 def against_loss() -> str:
     """Return what to do when messages are lost on the way to this process."""
     if not _is_fast_dds():
         return "give the middleware larger buffers, or send smaller images"
-    if not _has_profile():
+    if _ours() is None and not _choice_of_the_user():
+        if _fitting() is None:
+            return _too_little_memory()
         return f"images larger than the shared memory of 512 KB get lost; {_turn_on()}"
-    return _too_little_memory() or "this process has a DDS profile; set the same one in the camera's process too"
+    memory = shared_memory()
+    room = "" if memory is None or memory.total >= PROFILES[0].least_total_bytes else f"; {_more()}"
+    return f"this process has a DDS profile; {_turn_on()}{room}"
 
 
 def shared_memory() -> SharedMemory | None:
@@ -84,21 +145,55 @@ def shared_memory() -> SharedMemory | None:
     return SharedMemory(figures.f_blocks * figures.f_frsize, figures.f_bavail * figures.f_frsize)
 
 
-def _has_profile() -> bool:
-    return any(os.environ.get(name) for name in _VARIABLES)
+def _fitting() -> Profile | None:
+    memory = shared_memory()
+    if memory is None:
+        return None
+    for profile in PROFILES:
+        if memory.total >= profile.least_total_bytes and memory.free >= profile.segment_bytes * _OVERHEAD:
+            return profile
+    return None
+
+
+def _ours() -> Profile | None:
+    """Return the profile of this package that is set."""
+    files = {os.path.basename(os.environ.get(name, "")) for name in _VARIABLES}
+    return next((profile for profile in PROFILES if profile.name in files), None) if _is_fast_dds() else None
+
+
+def _choice_of_the_user() -> str:
+    """Return what the user has chosen instead; "" for nothing."""
+    if not _is_fast_dds():
+        return f"none, RMW_IMPLEMENTATION is {os.environ['RMW_IMPLEMENTATION']}"
+    for name in _VARIABLES:
+        if os.environ.get(name):
+            return f"{os.environ[name]}, by {name}"
+    if os.environ.get(_TRANSPORTS_VARIABLE):
+        return f"none, {_TRANSPORTS_VARIABLE} is {os.environ[_TRANSPORTS_VARIABLE]}"
+    if os.environ.get(_SKIP_VARIABLE) != "1":
+        for name in _FILES:
+            if Path(name).is_file():
+                return f"{name} in the working directory"
+    return ""
 
 
 def _turn_on() -> str:
     return f"in every process, the camera's too, set {PROFILE_VARIABLE}={profile_path()}"
 
 
+def _more() -> str:
+    memory = shared_memory()
+    return f"{_SHARED_MEMORY} has {memory.total / 1e6 if memory else 0:.0f} MB; give it more ({_ROOM})"
+
+
 def _too_little_memory() -> str:
     memory = shared_memory()
-    if memory is None or memory.total >= 2 * SEGMENT_BYTES:
-        return ""
-    need = f"the DDS profile takes {SEGMENT_BYTES / 1e6:.0f} MB for each process (Docker: --shm-size=512m)"
-    return f"{_SHARED_MEMORY} has {memory.total / 1e6:.0f} MB; {need}"
+    if memory is None:
+        return f"{_SHARED_MEMORY} does not exist; need shared memory for large images ({_ROOM})"
+    least = PROFILES[-1]
+    need = f"need {least.least_total_bytes / 1e6:.0f} MB, {least.segment_bytes * _OVERHEAD / 1e6:.0f} MB free ({_ROOM})"
+    return f"{_SHARED_MEMORY} has {memory.total / 1e6:.0f} MB, {memory.free / 1e6:.0f} MB free; {need}"
 
 
 def _is_fast_dds() -> bool:
-    return os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+    return (os.environ.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp").startswith("rmw_fastrtps")

@@ -8,7 +8,7 @@ that stay.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -56,6 +56,7 @@ class ParameterServer:
     """
 
     def __init__(self, node: Node) -> None:
+        self._node = node
         self._lock = threading.Lock()
         # No public call of rclpy gives the overrides that nobody has declared.
         overrides = node._parameter_overrides
@@ -100,32 +101,33 @@ class ParameterServer:
 
         Parameters
         ----------
-        parameters : as a service or a caller gave them; an integer serves as a double, `[]` as any list
+        parameters : as a service or a caller gave them; an integer serves as a double, `[]` as any list. Those that are
+            fixed while running may be there, with the values that they have, as in a dump of the node
         set_declared : the node's own `set_parameters_atomically`
         """
         try:
-            converted = [self._converted(parameter) for parameter in parameters]
+            converted = [p for p in map(self._converted, parameters) if not self._is_fixed_as(p)]
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        return set_declared(converted)
+        return set_declared(converted) if converted else SetParametersResult(successful=True)
 
-    def check_qos_overrides(self, possible: Mapping[str, object]) -> None:
-        """Refuse QoS overrides for topics or policies that the node does not have.
+    def unknown_qos_overrides(self, possible: Collection[str]) -> list[str]:
+        """Return a line for each topic with QoS overrides that the node does not have, with the nearest possible one.
+
+        They do not stop a node: parameter files are shared by nodes, and dumped under other remaps.
 
         Parameters
         ----------
-        possible : by full parameter name
-
-        Raises
-        ------
-        ParameterError
-            With the names that are possible for the nearest topic.
+        possible : full parameter names
         """
+        lines: dict[str, str] = {}
         for name in self._qos_overrides:
-            if name not in possible:
+            topic = name.split(".")[1]
+            if name not in possible and topic not in lines:
                 near = nearest_name(name, possible)
                 hint = f"nearest known: {near}" if near else f"need one of {', '.join(sorted(possible)) or 'none'}"
-                raise ParameterError(f"{name}: unknown parameter; {hint}")
+                lines[topic] = f"{name}: unknown parameter; {hint}"
+        return list(lines.values())
 
     def _converted(self, parameter: Parameter) -> Parameter:
         if parameter.name in FOREIGN or parameter.name.startswith(QOS_PREFIX):
@@ -133,6 +135,14 @@ class ParameterServer:
         return ros_parameter(
             parameter.name, checked_value(parameter.name, value_or_empty(parameter.name, parameter.value))
         )
+
+    def _is_fixed_as(self, parameter: Parameter) -> bool:
+        """Whether it is read-only and has this value."""
+        node, name = self._node, parameter.name
+        if not node.has_parameter(name) or not node.describe_parameter(name).read_only:
+            return False
+        present = node.get_parameter(name)
+        return bool(present.type_ == parameter.type_ and present.value == parameter.value)
 
     def _check(self, changed: list[Parameter]) -> SetParametersResult:
         given = {p.name: p.value for p in changed if p.name in self._values}

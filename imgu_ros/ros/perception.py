@@ -99,7 +99,10 @@ class PerceptionNode(ManagedNode[ImageInput]):
             # Topics that stay keep their listeners.
             self._outputs.adapt(names, parameters)
         possible = self._outputs.qos_override_names() + self._input.qos_override_names()
-        self._server.check_qos_overrides(dict.fromkeys(possible))
+        for line in self._server.unknown_qos_overrides(possible):
+            if line not in self._warned:
+                self._warned.add(line)
+                self.get_logger().warning(line)
 
     def _watch(self) -> None:
         """Subscribe when somebody listens, and only then; follow parameters that change the publishers."""

@@ -24,6 +24,7 @@ from imgu_ros.bags.storage import RawMessage
 from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.middleware import profile_line
 from imgu_ros.ros.pace import Pace
 from imgu_ros.ros.play_report import PlayReport, Span
 from imgu_ros.ros.process import init_ros, spare_collector
@@ -108,6 +109,7 @@ class _Player:
         self._stop = stop
         self._say = say
         self._node = Node("player", start_parameter_services=False, enable_rosout=False)
+        self._node.get_logger().debug(profile_line())
         self._types = {topic.name: topic.type_name for topic in bag.topics if topic.count != 0}
         self._publishers: dict[str, Publisher] = {}
         self._skipped: list[str] = []

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 
 from imgu_ros.codec.diagnostics import diagnostics_message
-from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters
 from imgu_ros.perception.remarks import Remarks
@@ -114,11 +114,9 @@ class StageNode(ManagedNode[StageInput]):
             else:
                 self._outputs.adapt(names, parameters)
             possible = self._outputs.qos_override_names() + self._input.qos_override_names()
-            try:
-                self._server.check_qos_overrides(dict.fromkeys(possible))
-            except ParameterError as error:
-                # No reason to refuse it: six nodes may share a parameter file.
-                self.get_logger().info(f"{error}; an override for another node?", once=True)
+            for line in self._server.unknown_qos_overrides(possible):
+                # Six nodes may share a parameter file.
+                self.get_logger().info(f"{line}; an override for another node?", once=True)
         if self._stage.topics(self, parameters) != self._input.topics:
             self._input.close()
             self._input = self._made_input()

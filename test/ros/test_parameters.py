@@ -167,13 +167,37 @@ def test_targets_wait_for_reload(make_node):
     assert node.server.parameters.targets.images == ("a.png", "b.png")
 
 
-def test_qos_overrides_of_unknown_topics_are_refused(make_node, tmp_path):
+def test_qos_overrides_of_unknown_topics_are_named(make_node, tmp_path):
+    """As in a dump of the node under other remaps, or a file for several nodes: rclpy says nothing of them."""
     file = tmp_path / "parameters.yaml"
-    file.write_text("/**: {ros__parameters: {qos_overrides: {/imag: {subscription: {depth: 2}}}}}\n")
+    file.write_text(
+        "/**: {ros__parameters: {qos_overrides: {/imag: {subscription: {depth: 2, reliability: reliable}}}}}\n"
+    )
     node = make_node(arguments=["--params-file", str(file)])
-    with pytest.raises(ParameterError, match="nearest known: qos_overrides./image.subscription.depth"):
-        node.server.check_qos_overrides({"qos_overrides./image.subscription.depth": None})
-    node.server.check_qos_overrides({"qos_overrides./imag.subscription.depth": None})
+    (line,) = node.server.unknown_qos_overrides(["qos_overrides./image.subscription.depth"])
+    assert line.endswith("unknown parameter; nearest known: qos_overrides./image.subscription.depth")
+    assert line.startswith("qos_overrides./imag.subscription.")
+    known = [f"qos_overrides./imag.subscription.{policy}" for policy in ("depth", "reliability")]
+    assert node.server.unknown_qos_overrides(known) == []
+
+
+def test_fixed_parameters_may_be_set_to_what_they_are(make_node):
+    """As `ros2 param load` does with a dump of the node, parameter by parameter."""
+    node = make_node("targets.images:=[a.png]")
+    names = [known.name for known in declarations()]
+    for parameter in [node.get_parameter(name) for name in [*names, "use_sim_time", "start_type_description_service"]]:
+        # A list without values is dumped as `[]`, which has no type.
+        given = Parameter(parameter.name, value=list(parameter.value)) if parameter.value == [] else parameter
+        assert node.set_parameters_atomically([given]).successful, parameter.name
+    fixed = [known.name for known in declarations() if known.read_only]
+    assert "image_transport" in fixed
+    refused = node.set(image_transport="compressed")
+    assert not refused.successful
+    assert "read-only" in refused.reason
+    refused = node.set(image_transport="raw", seed=-1)
+    assert not refused.successful
+    assert node.set(image_transport="raw", seed=5).successful
+    assert node.server.parameters.seed == 5
 
 
 def test_a_parameter_file_is_read_and_checked(make_node, tmp_path):

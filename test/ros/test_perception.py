@@ -279,12 +279,15 @@ def test_what_cannot_start_says_why_in_one_line(capsys, ros_domain, arguments, s
     assert said in refusal(capsys, *arguments)
 
 
-def test_a_qos_override_of_no_topic_is_refused(capsys, ros_domain, tmp_path):
+def test_a_qos_override_of_no_topic_is_named(imgu, world, tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("/**: {ros__parameters: {qos_overrides: {/image_rw: {subscription: {depth: 2}}}}}\n")
-    line = refusal(capsys, "--params-file", str(file))
-    assert "qos_overrides./image_rw.subscription.depth: unknown parameter" in line
-    assert "nearest known: qos_overrides./image_raw.subscription.depth" in line
+    node = imgu("node", "perception", *world.arguments, "--params-file", str(file))
+    node.wait_for_line("targets: poster")
+    assert (
+        "qos_overrides./image_rw.subscription.depth: unknown parameter; nearest known: qos_overrides./image_raw."
+        in (node.text)
+    )
 
 
 def test_publish_tf_without_tf_messages_is_refused(capsys, ros_domain, monkeypatch):

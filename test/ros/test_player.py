@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 
@@ -21,7 +22,10 @@ from imgu_ros.codec.results import target_pose_message
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.ros import middleware
 from imgu_ros.ros.messages import make_message as make_ros_message
+from imgu_ros.ros.messages import message_class
+from imgu_ros.ros.qos import image_qos
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -45,6 +49,27 @@ def write_bag(path: Path, count: int = 20, *, storage: str = "mcap", compression
                 tf = make_message("tf2_msgs/msg/TFMessage", transforms=[transform])
                 bag.write("/tf", tf, time_ns)
     return pictures
+
+
+def test_large_images_come_without_loss(imgu, peer, tmp_path):
+    """Three megabytes each, best effort as sensor data is: the player sets the DDS profile by itself."""
+    if any(os.environ.get(name) for name in ("FASTDDS_BUILTIN_TRANSPORTS", "RMW_IMPLEMENTATION")):
+        pytest.skip("transports are chosen by the environment")
+    if "--shm-size" in middleware.profile_line():
+        pytest.skip(middleware.profile_line())
+    count = 40
+    with BagWriter(tmp_path / "bag") as bag:
+        for index in range(count):
+            time_ns = START_NS + index * PERIOD_NS
+            pixels = np.full((720, 1280, 3), index, np.uint8)
+            bag.write("/cam/image_raw", image_message(make_message, Header(time_ns, "cam"), pixels, "rgb8"), time_ns)
+    heard: list[bytes] = []
+    peer.node.create_subscription(message_class(IMAGE), "/cam/image_raw", heard.append, image_qos(), raw=True)
+    play = imgu("play", str(tmp_path / "bag"), "--wait-for", "1", "--ros-args", "--log-level", "player:=debug")
+    peer.wait(lambda: len(heard) == count or play.process.poll() is not None, "all images")
+    peer.spin(0.3)
+    assert [message[-1] for message in heard] == list(range(count))
+    assert "DDS profile: fastdds_large_images" in play.text
 
 
 @pytest.mark.parametrize(("storage", "compression"), [("mcap", "zstd"), ("sqlite3", "zstd")])
