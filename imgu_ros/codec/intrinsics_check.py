@@ -95,8 +95,8 @@ def _placeholder(matrix: Matrix3) -> str:
 
 
 def _focal_problem(matrix: Matrix3, model: DistortionModel, size: tuple[int, int]) -> str:
-    for name, focal, side in (("fx", matrix[0, 0], size[0]), ("fy", matrix[1, 1], size[1])):
-        view = math.degrees(2 * math.atan(side / 2 / focal))
+    for name, focal, side in (("fx", float(matrix[0, 0]), size[0]), ("fy", float(matrix[1, 1]), size[1])):
+        view = math.degrees(2 * math.atan2(side / 2, focal))
         fisheye = model is DistortionModel.EQUIDISTANT
         short = focal < SHORTEST_FISHEYE * max(size) if fisheye else view > WIDEST_DEG
         if short or view < NARROWEST_DEG:
