@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from imgu_ros.codec.distortion_names import Lens, named_lens
+from imgu_ros.codec.distortion_names import Lens, listed, named_lens
 from imgu_ros.codec.intrinsics_check import Verdict, check_intrinsics, focal_ratio_remark
 from imgu_ros.errors import EncodingError, ShapeError
 from imgu_ros.types import Matrix3
@@ -94,7 +94,7 @@ def read_camera(
 def _read(said: CameraDescription, rectified: bool, image_size: tuple[int, int] | None) -> CameraReading:
     for name, values in (("K", said.K), ("D", said.D), ("R", said.R), ("P", said.P)):
         if not np.isfinite(values).all():
-            raise EncodingError(f"{name} {list(values)}; need finite numbers")
+            raise EncodingError(f"{name} {listed(values)}; need finite numbers")
     name = "P[:3, :3]" if rectified else "K"
     matrix = _matrix(said, rectified)
     lens = Lens(DistortionModel.PLUMB_BOB, ()) if rectified else named_lens(said.model, said.D)
@@ -207,10 +207,9 @@ def _require_lens(camera: Camera, said: CameraDescription) -> None:
     share = float(camera.undistort(np.column_stack((x.ravel(), y.ravel())))[1].mean())
     fisheye = camera.model is DistortionModel.EQUIDISTANT
     if share < (_INVERTIBLE_FISHEYE if fisheye else _INVERTIBLE):
-        shown = ", ".join(f"{value:g}" for value in said.D)
         raise EncodingError(
-            f"D [{shown}] folds the image over {100 * (1 - share):.0f} % of its area; need a lens's coefficients of "
-            f"{camera.model}"
+            f"D {listed(said.D)} folds the image over {100 * (1 - share):.0f} % of its area; need those of "
+            f"a lens, in the order of {camera.model}"
         )
 
 

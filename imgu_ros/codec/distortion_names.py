@@ -59,13 +59,13 @@ def named_lens(name: str, given: tuple[float, ...]) -> Lens:
     if not count:
         return Lens(DistortionModel.PLUMB_BOB, ())
     if key in _UNDISTORTED:
-        raise EncodingError(f"distortion_model {shown} is no distortion, but D is {_listed(given)}; {_NEED}")
+        raise EncodingError(f"distortion_model {shown} is no distortion, but D is {listed(given)}; {_NEED}")
     if key in _OTHER:
         raise EncodingError(f"distortion_model {shown} {_OTHER[key]}; {_NEED}")
     if key not in _OF_OPENCV:
         near = difflib.get_close_matches(key, sorted(_OF_OPENCV | _FISHEYE - {""}), n=1, cutoff=0.75)
         hint = f" (did you mean {_SPELLED.get(near[0], near[0])!r}?)" if near else ""
-        raise EncodingError(f"distortion_model {shown} is unknown{hint} and D is {_listed(given)}; {_NEED}")
+        raise EncodingError(f"distortion_model {shown} is unknown{hint} and D is {listed(given)}; {_NEED}")
     return _of_opencv(key, shown, given, count)
 
 
@@ -92,8 +92,9 @@ def message_name(model: DistortionModel) -> str:
     return _MESSAGE_NAMES.get(model, str(model))
 
 
-def _listed(given: tuple[float, ...]) -> str:
-    return "[" + ", ".join(f"{value:g}" for value in given[:6]) + (", ...]" if len(given) > 6 else "]")
+def listed(given: tuple[float, ...]) -> str:
+    """Return the first numbers for people."""
+    return "[" + ", ".join(f"{value:g}" for value in given[:14]) + (", ...]" if len(given) > 14 else "]")
 
 
 _MESSAGE_NAMES = {

@@ -1,7 +1,7 @@
 """Whether an intrinsic matrix can be a camera's: the signs of a placeholder, of other units, of another resolution.
 
 The limits are wide enough for every camera that was met: telephoto lenses of 600 mm, circular fisheyes of 220 degrees,
-sensors of which a part was calibrated as if it were all, simulated pinholes of 160 degrees.
+sensors of which a part was calibrated as if it were all, simulated pinholes of 150 degrees.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.distortion_model import DistortionModel
 
 #: Angle of view of a pinhole, degrees.
-WIDEST_DEG = 165.0
+WIDEST_DEG = 155.0
 NARROWEST_DEG = 0.5
 #: A circular fisheye's image may be much smaller than the sensor: focal length as a share of the longer side.
 SHORTEST_FISHEYE = 0.04
