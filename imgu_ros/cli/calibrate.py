@@ -56,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.cli.progress import Progress
     from imgu_ros.files.camera_info_file import write_camera_info
     from imgu_ros.vision.camera.calibration import calibrate
+    from imgu_ros.vision.camera.camera_covariance import with_covariance
     from imgu_ros.vision.camera.chessboard import Chessboard
 
     columns, rows = arguments.board
@@ -74,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         board.corners(), [view.corners for view in found.views], found.width, found.height, arguments.model
     )
     print(described(calibration, found, board))
-    write_camera_info(arguments.out, calibration.camera, arguments.name)
+    write_camera_info(arguments.out, with_covariance(calibration.camera, calibration.covariance), arguments.name)
     if arguments.json:
         from imgu_ros.files.text_files import write_text
 

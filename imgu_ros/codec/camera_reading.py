@@ -13,7 +13,8 @@ import numpy as np
 from imgu_ros.codec.distortion_names import Lens, listed, named_lens
 from imgu_ros.codec.intrinsics_check import Verdict, check_intrinsics, focal_ratio_remark
 from imgu_ros.errors import EncodingError, ShapeError
-from imgu_ros.types import Matrix3
+from imgu_ros.types import Floats, Matrix3
+from imgu_ros.vision.camera.camera_covariance import as_covariance, with_covariance
 from imgu_ros.vision.camera.distortion_model import DistortionModel
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.projection import as_intrinsic_matrix
@@ -34,6 +35,7 @@ class CameraDescription:
     width, height : of the whole sensor at full resolution, px; 0 when they are not said
     binning : sensor pixels in one of the image's, along x and y
     roi : x, y, width and height of the window that is read, px of the sensor; width or height 0: to the edge
+    covariance : of fx, fy, cx, cy and the numbers of D, row by row; empty: they are exact
     """
 
     source: str
@@ -46,6 +48,7 @@ class CameraDescription:
     P: tuple[float, ...] = ()
     binning: tuple[int, int] = (1, 1)
     roi: tuple[int, int, int, int] = (0, 0, 0, 0)
+    covariance: tuple[float, ...] = ()
 
     @property
     def window(self) -> tuple[int, int, int, int]:
@@ -105,6 +108,8 @@ def _read(said: CameraDescription, rectified: bool, image_size: tuple[int, int] 
         raise EncodingError(f"{name} {verdict.problem}{_other_matrix(said, rectified)}")
     camera = make_camera(_windowed(matrix, said), lens.coefficients, lens.model, *size)
     _require_lens(camera, said)
+    if said.covariance:
+        camera = with_covariance(camera, _covariance_in_image(said, matrix, rectified))
     # Many frames have this very object.
     camera.K.flags.writeable = camera.distortion.flags.writeable = False
     remarks = [*(f"{name} {remark}" for remark in verdict.remarks), lens.remark, _disagreement(said)]
@@ -185,6 +190,23 @@ def _windowed(matrix: Matrix3, said: CameraDescription) -> Matrix3:
     image_from_sensor = np.diag((1 / bx, 1 / by, 1.0))
     image_from_sensor[:2, 2] = -(x + (bx - 1) / 2) / bx, -(y + (by - 1) / 2) / by
     return image_from_sensor @ matrix
+
+
+def _covariance_in_image(said: CameraDescription, matrix: Matrix3, rectified: bool) -> Floats:
+    """Return the covariance of the image's numbers, (P, P): binning scales K, a window moves it.
+
+    Of rectified images those of D are left out: what D is not known to bends a rectified image in its own way.
+    """
+    covariance = as_covariance(said.covariance)
+    if not rectified:
+        scale = 1 / np.array(said.binning, np.float64)
+    else:
+        covariance = covariance[:4, :4]
+        K = _matrix(said, rectified=False)
+        scale = np.array((matrix[0, 0] / K[0, 0], matrix[1, 1] / K[1, 1])) / said.binning
+    by_image = np.ones(len(covariance))
+    by_image[:4] = np.tile(scale, 2)
+    return np.asarray(covariance * np.outer(by_image, by_image), np.float64)
 
 
 def _other_matrix(said: CameraDescription, rectified: bool) -> str:

@@ -1,7 +1,8 @@
 """What calibration tools write -> `CameraDescription`: ROS's YAML and INI, echoed messages, OpenCV's, Kalibr's.
 
 - YAML of camera_calibration_parsers (`image_width`, `camera_matrix`, ...), with OpenCV's tags as well
-  (cv::FileStorage), under its names of before version 3 too;
+  (cv::FileStorage), under its names of before version 3 too; `imgu calibrate` adds `calibration_covariance`, of fx, fy,
+  cx, cy and the distortion coefficients, which ROS's reader passes over;
 - a sensor_msgs/CameraInfo as `ros2 topic echo` and `rostopic echo` print it (`width`, `k` or `K`, ...), also as JSON;
 - Kalibr's camchain (`cam0: {camera_model, intrinsics, ...}`);
 - the INI format of camera_calibration_parsers (`[image]`, `width`, ...).
@@ -28,6 +29,7 @@ _NAMES = {
     "width": ("imagewidth", "width"),
     "height": ("imageheight", "height"),
     "model": ("distortionmodel",),
+    "covariance": ("calibrationcovariance",),
 }
 _INI_KEYS = {"camera matrix": "K", "distortion": "D", "rectification": "R", "projection": "P"}
 _WANTED = "need a camera_info YAML or INI file, an echoed camera_info, or what OpenCV or Kalibr write"
@@ -84,6 +86,9 @@ def _of_yaml(content: Mapping[str, Any], source: str) -> tuple[CameraDescription
         height=_whole(found["height"], "image_height", source),
         binning=(binning[0], binning[1]),
         roi=(window[0], window[1], window[2], window[3]),
+        covariance=()
+        if found["covariance"] is None
+        else _numbers(found["covariance"], "calibration_covariance", source, _MOST_NUMBERS**2),
     )
     return description, str(content.get("camera_name") or "")
 
@@ -183,13 +188,13 @@ def _yaml_content(text: str, source: str) -> Mapping[str, Any]:
     return content
 
 
-def _numbers(entry: Any, name: str, source: str) -> tuple[float, ...]:
+def _numbers(entry: Any, name: str, source: str, most: int = _MOST_NUMBERS) -> tuple[float, ...]:
     """Return the numbers of a list, of a list of rows, or of a matrix with `data`."""
     data = entry.get("data") if isinstance(entry, dict) else entry
     if not isinstance(data, list | tuple):
         raise FileError(f"{source}: {name}: {str(data)[:80]}; need a list of numbers")
     flat = [value for row in data for value in (row if isinstance(row, list) else [row])]
-    if len(flat) > _MOST_NUMBERS:
+    if len(flat) > most:
         raise FileError(f"{source}: {name}: {len(flat)} values; need those of one camera")
     try:
         return tuple(_number(value) for value in flat)

@@ -77,7 +77,10 @@ def write_camera_info(path: Path | str, camera: Camera, name: str = "camera") ->
 
 
 def camera_info_text(camera: Camera, name: str = "camera") -> str:
-    """Return the YAML text for a camera: rectification the identity, projection K (a single camera)."""
+    """Return the YAML text for a camera: rectification the identity, projection K (a single camera).
+
+    Where the camera has a covariance it is `calibration_covariance`, of fx, fy, cx, cy and the distortion coefficients.
+    """
     projection = np.hstack((camera.K, np.zeros((3, 1))))
     content = {
         "image_width": camera.width,
@@ -89,6 +92,9 @@ def camera_info_text(camera: Camera, name: str = "camera") -> str:
         "rectification_matrix": _rows(np.eye(3)),
         "projection_matrix": _rows(projection),
     }
+    if camera.covariance is not None:
+        # ROS's reader looks up the names it knows and passes over this one.
+        content["calibration_covariance"] = _rows(camera.covariance)
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
 
 

@@ -67,7 +67,7 @@ class CalibrationEvidence:
 def weigh_calibration(tests: Sequence[CalibrationTest], camera: Camera) -> CalibrationEvidence:
     """Weigh the residuals of views that were posed with the same calibration.
 
-    The camera's numbers, true less given, have a prior of zero mean: what `camera.covariance` says, and a
+    The camera's numbers, true less given, have a prior of zero mean: the covariance of the camera, and a
     miscalibration of known shape (common focal length, principal point) and unknown size (log-uniform). Residuals of
     views that contradict the best numbers count for less, and where views scatter by more than their covariances say,
     all do.

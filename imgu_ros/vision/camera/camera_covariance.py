@@ -42,6 +42,8 @@ def with_covariance(camera: Camera, covariance: ArrayLike | None) -> Camera:
         return replace(camera, covariance=None)
     given = as_covariance(covariance)
     count = 4 + len(camera.distortion)
+    if len(given) > count and not given[count:].any():
+        given = given[:count, :count]
     if not (
         len(given) == 4
         or len(given) == count
