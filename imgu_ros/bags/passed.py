@@ -10,7 +10,7 @@ from imgu_ros.bags.reasons import Reasons
 from imgu_ros.files.pose_files import RisingStamps
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result, Status
+from imgu_ros.perception.result import CalibrationFinding, Result, Status
 from imgu_ros.report.summary import Source
 from imgu_ros.simulate.truth import Truth
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -29,6 +29,7 @@ class Passed:
     image_size : width and height of the first frame that was read, px; 0 without one
     layout : of that frame, such as `bayer rggb uint16`
     camera : of that frame
+    calibration : what all frames so far say of their camera's calibration; None before the first pose
     trajectories : which poses the targets' .tum files have
     """
 
@@ -40,6 +41,7 @@ class Passed:
     image_size: tuple[int, int] = (0, 0)
     layout: str = ""
     camera: Camera | None = None
+    calibration: CalibrationFinding | None = None
     trajectories: RisingStamps = field(default_factory=RisingStamps)
 
     def add(self, result: Result) -> str:
@@ -49,6 +51,7 @@ class Passed:
             self.rejected += 1
             self.first_reason = self.first_reason or result.reason
             return result.reason if self.reasons.add(Status.REJECTED.value, result.reason) else ""
+        self.calibration = result.calibration or self.calibration
         if not self.layout:
             self._describe(result.frame)
         for target in result.targets:

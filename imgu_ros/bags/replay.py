@@ -157,6 +157,8 @@ class _Run:
                 )
                 sink.put(Written(result, read.time_ns))
                 self.warnings.add(sizes.add(result))
+                if result.calibration is not None and result.calibration.warning:
+                    self.warnings.add([result.calibration.warning])
                 reason = passed.add(result)
                 if reason:
                     self.warnings.add([f"rejected: {reason}"])

@@ -62,4 +62,5 @@ def _summary(table: FrameTable, replayed: Replayed, warnings: tuple[str, ...]) -
         versions=versions(),
         seed=replayed.parameters.seed,
         parameters=parameter_values(replayed.parameters),
+        calibration=passed.calibration,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 from dataclasses import replace
@@ -67,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         _check_warp(arguments.warp, frame)
     result = Chain(_with_transfer(parameters, frame), targets).process(frame)
     found = result.targets[0]
-    for line in (frame.camera_reason, *frame.camera_remarks):
+    for line in (frame.camera_reason, *result.camera_remarks):
         if line:
             print(f"imgu: warning: {line}", file=sys.stderr)
     print(described(result))
@@ -139,6 +140,7 @@ def document(result: Result) -> dict[str, object]:
         "pose": None if target.pose is None else _pose_document(target.pose),
         "solutions": [_pose_document(pose) for pose in target.solutions],
         "ambiguity": target.ambiguity,
+        "calibration": None if result.calibration is None else dataclasses.asdict(result.calibration),
         "matches": None
         if matches is None
         else {

@@ -65,6 +65,8 @@ def _values(result: Result, target: TargetResult) -> dict[str, str]:
         values["rms_px"] = repr(float(target.homography.rms_px))
     if target.ambiguity is not None:
         values["ambiguity"] = repr(float(target.ambiguity))
+    if target.calibration is not None:
+        values["calibration_chi_squared"] = repr(target.calibration.chi_squared)
     if result.total_ns:
         values["t_total_ms"] = repr(result.total_ns / 1e6)
     times = result.times_ns or {}

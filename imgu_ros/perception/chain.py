@@ -31,7 +31,7 @@ _THOROUGH_EVERY = 6
 #: Sightings farther apart tell nothing about how a target moves.
 _STEADY_NS = 500_000_000
 #: Stamps that jump back by more belong to another recording, or to the same one played again.
-_JUMP_NS = 1_000_000_000
+JUMP_NS = 1_000_000_000
 
 
 class Chain:
@@ -109,7 +109,7 @@ class Chain:
         with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
         development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
         """
-        if self._last_ns is not None and frame.stamp_ns < self._last_ns - _JUMP_NS:
+        if self._last_ns is not None and frame.stamp_ns < self._last_ns - JUMP_NS:
             self.reset()
         self._last_ns = frame.stamp_ns
         development = development or develop_frame(frame, self._parameters)

@@ -161,3 +161,9 @@ class Result:
     calibration: CalibrationFinding | None = None
     times_ns: Mapping[Stage, int] | None = None
     total_ns: int = 0
+
+    @property
+    def camera_remarks(self) -> tuple[str, ...]:
+        """What people should know of the camera that is used, by what is said of it and by what is seen."""
+        warning = "" if self.calibration is None else self.calibration.warning
+        return (*self.frame.camera_remarks, warning) if warning else self.frame.camera_remarks

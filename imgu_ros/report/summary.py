@@ -12,7 +12,7 @@ import numpy as np
 
 from imgu_ros.files.text_files import write_text
 from imgu_ros.params import ParameterValue
-from imgu_ros.perception.result import PoseStatus, Stage, Status
+from imgu_ros.perception.result import CalibrationFinding, PoseStatus, Stage, Status
 from imgu_ros.report.table import FrameTable
 from imgu_ros.types import Floats
 
@@ -83,7 +83,8 @@ class Summary:
     """A replay in figures.
 
     `frames` is the number of input frames, `rejected` of which could not be read. `rate_in_hz` is the rate of the
-    stamps; `frames_per_s` that of the whole replay on this machine, reading and writing included.
+    stamps; `frames_per_s` that of the whole replay on this machine, reading and writing included. `calibration` is
+    what the pictures said of camera_info in the end; None without poses.
     """
 
     frames: int
@@ -100,6 +101,7 @@ class Summary:
     versions: Mapping[str, str]
     seed: ParameterValue
     parameters: Mapping[str, ParameterValue]
+    calibration: CalibrationFinding | None = None
 
 
 def write_summary(path: Path, summary: Summary) -> None:

@@ -192,7 +192,7 @@ def _camera(name: str, found: Sequence[Cause], last: Result | None) -> HealthEnt
     if camera is None:
         said = last.frame.camera_reason or "no camera_info"
         return HealthEntry(name, Level.WARN, reason or f"uncalibrated: {said}", {})
-    reason = "; ".join((*filter(None, [reason]), *last.frame.camera_remarks))
+    reason = "; ".join((*filter(None, [reason]), *last.camera_remarks))
     values: dict[str, object] = {
         "frame_id": last.frame.frame_id,
         "size": f"{camera.width} x {camera.height}",
@@ -202,4 +202,11 @@ def _camera(name: str, found: Sequence[Cause], last: Result | None) -> HealthEnt
         "cy": float(camera.K[1, 2]),
         "distortion_model": str(camera.model),
     }
+    if last.calibration is not None:
+        values |= {
+            "calibration_views": last.calibration.views,
+            "calibration_chi_squared": last.calibration.chi_squared,
+            "focal_error_percent": last.calibration.focal_percent,
+            "focal_error_sigma_percent": last.calibration.focal_sigma_percent,
+        }
     return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "calibrated", values)

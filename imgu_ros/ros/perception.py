@@ -135,7 +135,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
             self._log_rejected(result.reason)
         if result.frame.image.remark:
             self._warn_once("image", f"{self._input.topics.image}: {result.frame.image.remark}")
-        for line in self._remarks.news(result.frame.camera_remarks):
+        for line in self._remarks.news(result.camera_remarks):
             self.get_logger().warning(line)
         now_ns = self.get_clock().now().nanoseconds
         if now_ns:

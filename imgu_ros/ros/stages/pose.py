@@ -12,6 +12,8 @@ from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.results import result_status_message
 from imgu_ros.errors import EstimationError
 from imgu_ros.params import Parameters
+from imgu_ros.perception.calibration_check import CalibrationCheck
+from imgu_ros.perception.chain import JUMP_NS
 from imgu_ros.perception.posing import Located, posed
 from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
 from imgu_ros.ros.messages import make_message
@@ -51,6 +53,11 @@ class PoseStage(TargetStage):
         {STATUS: "diagnostic_msgs/msg/DiagnosticArray"},
     )
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._check = CalibrationCheck()
+        self._last_ns: int | None = None
+
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         homography = cloud_feed(node, _HOMOGRAPHY)
@@ -66,9 +73,13 @@ class PoseStage(TargetStage):
         read = read_camera_info(job.camera_info, self.parameters)
         if read.camera is not None and not decode_calibrated(job.messages[_HOMOGRAPHY]):
             read = CameraReading(None, _NOT_THE_IMAGES)
-        self.remarks = unusable(read) or read.remarks
+        if self._last_ns is not None and header.stamp_ns < self._last_ns - JUMP_NS:
+            self._check.reset()
+        self._last_ns = header.stamp_ns
         targets = tuple(self._posed(index, estimates, agreeing, read) for index in range(len(self.targets)))
-        result = Result(frame_without_image(header, read), targets)
+        targets = self._check.examined(read.camera, targets)
+        result = Result(frame_without_image(header, read), targets, calibration=self._check.finding)
+        self.remarks = unusable(read) or result.camera_remarks
         outputs.publish(result)
         outputs.offer(STATUS, lambda: result_status_message(make_message, result))
 
