@@ -1,27 +1,38 @@
-"""The launch files: read with stand-ins for launch and launch_ros, and what they would start is started.
+"""The launch files, and what the real `ros2 launch` makes of them and of a user's own.
 
-The stand-ins do what those of Jazzy do with these actions, as far as the launch files need it: arguments with defaults,
-functions of the context, files in files, and the command line that a node gets.
+`launch_files/recorded` holds the command lines and parameter files that launch_ros of Jazzy gave to the processes, byte
+for byte (`launch_files/record.py`). They are read and the commands are run. The launch files themselves are read with
+stand-ins for the classes of launch, and must still ask for what was recorded.
 """
 
 from __future__ import annotations
 
 import ast
+import itertools
+import os
 import runpy
+import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
+import cv2
+import numpy as np
 import pytest
-import yaml
+
+from imgu_ros.files.parameter_files import GivenParameters
+from imgu_ros.files.rcl_parameters import RclParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 LAUNCH = REPOSITORY / "launch"
+RECORDED = REPOSITORY / "test" / "launch_files" / "recorded"
 FILES = sorted(path.name for path in LAUNCH.glob("*.launch.py"))
 
 
@@ -71,6 +82,11 @@ class LaunchDescription:
             action.visit(context)
 
 
+class ParameterValue:
+    def __init__(self, value: object, *, value_type: object) -> None:
+        self.value, self.type = value, value_type
+
+
 class PythonLaunchDescriptionSource:
     def __init__(self, path: str) -> None:
         self.path = path
@@ -104,24 +120,6 @@ class Node:
     def visit(self, context: Context) -> None:
         context.nodes.append(self)
 
-    def command(self, folder: Path) -> list[str]:
-        """Return the command line after the executable's name, as launch_ros makes it."""
-        command = [*self.arguments, *(["--ros-args", *self.ros_arguments] if self.ros_arguments else []), "--ros-args"]
-        if self.name is not None:
-            command += ["-r", f"__node:={self.name}"]
-        if self.namespace:
-            command += ["-r", f"__ns:=/{self.namespace.lstrip('/')}"]
-        for number, parameters in enumerate(self.parameters):
-            path = str(parameters)
-            if isinstance(parameters, dict):
-                full_name = f"/{self.namespace}/{self.name}" if self.namespace and self.name else "/**"
-                path = str(folder / f"launch_params_{number}.yaml")
-                Path(path).write_text(yaml.safe_dump({full_name: {"ros__parameters": parameters}}))
-            command += ["--params-file", path]
-        for source, target in self.remappings:
-            command += ["-r", f"{source}:={target}"]
-        return command
-
 
 @pytest.fixture
 def share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -140,6 +138,7 @@ def share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "launch.launch_description_sources": {"PythonLaunchDescriptionSource": PythonLaunchDescriptionSource},
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node},
+        "launch_ros.parameter_descriptions": {"ParameterValue": ParameterValue},
         "ament_index_python": {},
         "ament_index_python.packages": {"get_package_share_directory": lambda _: str(folder)},
     }
@@ -173,21 +172,19 @@ def test_every_argument_is_described_and_used_in_the_examples(share: Path, file:
         assert {word.partition(":=")[0] for word in line.split() if ":=" in word} <= context.declared.keys()
 
 
-def test_one_camera(share: Path) -> None:
-    (node,) = launched(share, "perception.launch.py", target="poster.png", width_m="0.42", image="/cam/image_raw").nodes
-    assert (node.package, node.executable, node.arguments) == ("imgu_ros", "imgu", ["node", "perception"])
-    assert node.parameters == [{"targets.images": ["poster.png"], "targets.widths_m": [0.42]}]
-    assert node.remappings == [("image_raw", "/cam/image_raw")]
-    assert Path(node.environment["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()
-    (node,) = launched(share, "perception.launch.py", params_file="p.yaml", large_images="false").nodes
-    assert node.parameters == ["p.yaml"], "nothing of the file is overridden by defaults"
-    assert node.environment == {}
+def asked(node: Node) -> dict[str, object]:
+    """Return the parameters that a launch file asks for inline."""
+    values: dict[str, object] = {}
+    for parameters in node.parameters:
+        if isinstance(parameters, dict):
+            values |= {n: v.value if isinstance(v, ParameterValue) else v for n, v in parameters.items()}
+    return values
 
 
 def test_rviz_beside_it(share: Path) -> None:
     given = {"rviz": "true", "namespace": "left", "target": "a/poster.png", "target_prefix": "left/"}
     perception, rviz = launched(share, "perception.launch.py", **given).nodes
-    assert perception.parameters[0]["frames.target_prefix"] == "left/"
+    assert asked(perception)["frames.target_prefix"] == "left/"
     assert (rviz.package, rviz.namespace) == ("rviz2", "left")
     assert rviz.arguments[-2:] == ["-f", "left/poster"]
     assert Path(rviz.arguments[1]).is_file()
@@ -198,6 +195,11 @@ def test_rviz_beside_it(share: Path) -> None:
     [
         ("perception.launch.py", {"rviz": "yes"}, "rviz: 'yes'; need true or false"),
         ("perception.launch.py", {"target": "a.png", "width_m": "wide"}, "width_m: 'wide'; need a number"),
+        (
+            "perception.launch.py",
+            {"params_file": "/no/p.yaml"},
+            "params_file: '/no/p.yaml': no such file; need a param",
+        ),
         ("cameras.launch.py", {"cameras": "left,left"}, "cameras: 'left,left'; need different names"),
     ],
 )
@@ -206,29 +208,175 @@ def test_wrong_arguments_are_told(share: Path, file: str, values: dict[str, str]
         launched(share, file, **values)
 
 
-def test_several_cameras(share: Path) -> None:
-    nodes = launched(share, "cameras.launch.py", cameras="left, right", target="poster.png", publish_tf="true").nodes
-    assert [(node.namespace, node.name) for node in nodes] == [("left", "perception"), ("right", "perception")]
-    assert [node.parameters[0]["frames.target_prefix"] for node in nodes] == ["left/", "right/"]
-    assert all(node.remappings == [("image_raw", "image_raw")] for node in nodes)
+@dataclass(frozen=True)
+class Recorded:
+    """A process as the real launch starts it: words of its command line, its environment, and its parameter files."""
+
+    folder: Path
+    words: list[str]
+    environment: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """The node's full name."""
+        rules = dict(word.split(":=") for word in self.after("-r"))
+        return f"{rules.get('__ns', '/').rstrip('/')}/{rules.get('__node', 'perception')}"
+
+    def after(self, option: str) -> list[str]:
+        return [self.words[i + 1] for i, word in enumerate(self.words) if word == option]
+
+    def values(self) -> dict[str, object]:
+        """What its files and overrides say, read as a replay reads them."""
+        given = GivenParameters(self.name)
+        for option, value in itertools.pairwise(self.words):
+            if option == "--params-file":
+                given.add_file(self.folder / value if value.startswith("params_") else RECORDED.parent / value)
+            elif option == "-p":
+                given.add_override(value)
+        return given.values()
 
 
-def test_a_bag(share: Path) -> None:
-    perception, player = launched(share, "replay.launch.py", bag="bags/one", loop="true").nodes
-    assert perception.parameters == [{"use_sim_time": True}]
-    assert player.arguments == ["play", "bags/one", "--wait-for", "1", "--rate", "1.0", "--loop"]
+def recorded(folder: Path) -> Recorded:
+    words = shlex.split((folder / "command").read_text())
+    start = words.index("imgu")
+    return Recorded(folder, words[start + 1 :], dict(word.split("=", 1) for word in words[:start]))
 
 
-def test_the_commands_are_understood(share: Path, tmp_path: Path, ros_domain: int) -> None:
-    """The command lines, run: the node refuses the target that is not there, the player the bag."""
+LAUNCHES = dict(line.split(": ", 1) for line in (RECORDED.parent / "launches.txt").read_text().splitlines())
+PROCESSES = sorted(path.name for path in RECORDED.iterdir())
+
+
+@pytest.mark.parametrize("case", [case for case, line in LAUNCHES.items() if line.startswith("imgu_ros ")])
+def test_the_launch_files_ask_for_what_was_recorded(share: Path, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(RECORDED.parent)
+    _, file, *arguments = shlex.split(LAUNCHES[case])
+    nodes = launched(share, file, **dict(argument.split(":=") for argument in arguments)).nodes
+    processes = [recorded(RECORDED / name) for name in PROCESSES if name.rpartition("_")[0] == case]
+    key: Callable[[Any], list[str]] = lambda either: [either.arguments[0], either.namespace or ""]  # noqa: E731
+    for node, process in zip(sorted(nodes, key=key), processes, strict=True):
+        assert (node.package, node.executable) == ("imgu_ros", "imgu")
+        assert process.words[: len(node.arguments)] == node.arguments
+        assert process.environment == node.environment
+        if process.words[0] == "play":
+            continue
+        assert process.name == f"/{node.namespace}/{node.name}".replace("//", "/")
+        assert [tuple(word.split(":=")) for word in process.after("-r") if not word.startswith("__")] == node.remappings
+        rcl = RclParameters()
+        for file in [name for name in process.after("--params-file") if name.startswith("params_")]:
+            (section,) = rcl.add_file((process.folder / file).read_bytes(), file)
+            assert section == process.name
+        written = {name: entry.value for name, entry in rcl.entries(lambda section: True).items()}
+        assert written == asked(node)
+        assert [p for p in node.parameters if isinstance(p, str)] == [
+            name for name in process.after("--params-file") if not name.startswith("params_")
+        ]
+
+
+#: What the user's launch files say, by process.
+SAID: dict[str, dict[str, object]] = {
+    "python_0": {
+        "targets.images": ("poster.png", f"a long name of a picture, {'with commas and spaces, ' * 3}: folded.png"),
+        "targets.widths_m": (0.594, 1e-05), "targets.names": ("poster", "second"), "raw.bands": (0, 2, 1), "seed": 7,
+        "publish_tf": False, "pose.ambiguity_ratio": 0.001, "raw.black_level": 64.0, "frames.map": "mäp",
+        "frames.camera": "", "frames.target_prefix": "on_", "homography.threshold_px": 2.0, "tracking.search_every": 3,
+        "compressed.jpeg_quality": 80, "raw.gains": (1.5, 1.0, 2.0),
+        "targets.poses": (0.0,) * 6 + (1.0, 1.0, -2.5) + (0.0,) * 4 + (1.0,),
+    },
+    "python_1": {"targets.images": ("./poster.png",), "targets.widths_m": (1.0,), "frames.map": "2"},
+    "xml_0": {
+        "targets.images": ("poster.png", "second.png"), "targets.widths_m": (0.594, 1.0), "seed": 7, "frames.map": "5"
+    },
+    "yaml_0": {
+        "targets.images": ("poster.png",), "targets.widths_m": (0.594,), "raw.bands": (0, 2), "publish_tf": False,
+        "homography.threshold_px": 2.5,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_what_a_users_launch_file_says_is_read(name: str) -> None:
+    assert recorded(RECORDED / name).values() == SAID[name]
+
+
+def test_lists_are_written_with_a_tag_of_python() -> None:
+    """Else the recordings would show nothing: yaml.safe_load refuses the tag."""
+    tagged = [path for path in RECORDED.glob("*/params_*.yaml") if "!!python/tuple" in path.read_text()]
+    assert {path.parent.name for path in tagged} >= {"one_camera_0", "two_cameras_0", "bag_0", "python_0"}
+
+
+@pytest.mark.parametrize("name", [name for name in PROCESSES if name not in ("bag_1", "two_cameras_1")])
+def test_nodes_start_as_they_were_launched(name: str, tmp_path: Path, ros_domain: int) -> None:
     pytest.importorskip("rclpy", reason="needs the ros extra")
-    nodes = launched(
-        share, "replay.launch.py", bag="no_bag", target="/nowhere/x.png", namespace="left", transport="compressed"
-    ).nodes
-    nodes += launched(share, "cameras.launch.py", cameras="a", target="/nowhere/y.png").nodes
-    for node, said in zip(nodes, ("/nowhere/x.png", "no_bag", "/nowhere/y.png"), strict=True):
-        command = [sys.executable, "-m", "imgu_ros.cli.main", *node.command(tmp_path)]
-        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
-        assert done.returncode == 1, done.stderr
-        assert done.stderr.startswith("imgu: error: ")
-        assert said in done.stderr
+    process = recorded(RECORDED / name)
+    shutil.copytree(process.folder, tmp_path, dirs_exist_ok=True)
+    shutil.copy(RECORDED.parent / "perception.yaml", tmp_path)
+    pixels = np.random.default_rng(1).integers(0, 255, (60, 80, 3), np.uint8)
+    values = process.values()
+    images = cast("tuple[str, ...]", values.get("targets.images", ()))
+    for image in images:
+        # OpenCV looks at the name when it writes, and at the content when it reads.
+        (tmp_path / image).write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    said = f"targets: {', '.join(['poster', 'second'][: len(images)]) if name != 'odd_texts_0' else 'target_007'}"
+    said = {"python_0": "targets: poster, second", "parameter_file_0": "targets: none"}.get(name, said)
+    command = [sys.executable, "-m", "imgu_ros.cli.main", *process.words]
+    environment = os.environ | process.environment | {"PYTHONPATH": str(REPOSITORY)}
+    started = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    killer = threading.Timer(60, started.kill)
+    killer.start()
+    lines = []
+    try:
+        assert started.stdout is not None
+        for line in started.stdout:
+            lines.append(line)
+            if said in line:
+                break
+        else:
+            pytest.fail("".join(lines))
+        started.send_signal(signal.SIGINT)
+        rest = started.stdout.read()
+        assert started.wait() == 0, rest
+    finally:
+        killer.cancel()
+        started.kill()
+        started.communicate()
+    text = "".join(lines)
+    assert "Traceback" not in text
+    assert ("FASTDDS_BUILTIN_TRANSPORTS is DEFAULT" in text) == (name == "odd_texts_0")
+
+
+def test_the_player_is_started_as_it_was_launched(tmp_path: Path, ros_domain: int) -> None:
+    pytest.importorskip("rclpy", reason="needs the ros extra")
+    command = [sys.executable, "-m", "imgu_ros.cli.main", *recorded(RECORDED / "bag_1").words]
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.startswith("imgu: error: recording: ")
+
+
+def test_a_file_that_launch_leaves_out_of_force_is_named() -> None:
+    """`SetParameter` makes the section `/**` the first one: the file for all nodes then comes before the node's own."""
+    process = recorded(RECORDED / "python_0")
+    given = GivenParameters(process.name)
+    for option, value in itertools.pairwise(process.words):
+        if option == "--params-file":
+            given.add_file(process.folder / value)
+        elif option == "-p":
+            given.add_override(value)
+    (line,) = given.warnings()
+    assert line.startswith("homography.threshold_px: 2 is in force, not the later 2.5: ")
+
+
+@pytest.mark.skipif(not (shutil.which("ros2") and os.environ.get("AMENT_PREFIX_PATH")), reason="needs ros2 launch")
+def test_the_real_launch_writes_what_is_recorded(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, str(RECORDED.parent / "record.py"), str(tmp_path / "recorded")], check=True)
+    assert sorted(path.name for path in (tmp_path / "recorded").iterdir()) == PROCESSES
+    for path in RECORDED.glob("*/*"):
+        assert (tmp_path / "recorded" / path.relative_to(RECORDED)).read_text() == path.read_text()
