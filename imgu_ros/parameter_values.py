@@ -90,7 +90,9 @@ def _checked_scalar(name: str, value: object, type_name: str, known: Declaration
     if type_name == "double" and type(value) is int and abs(value) <= _LARGEST_INTEGER:
         value = float(value)
     if type(value) is not expected:
-        raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need {_article(type_name)}")
+        # ROS's tools write and read texts like `on` or `1e3` without quotes.
+        quotes = ", in quotes" if type_name == "string" and isinstance(value, int | float) else ""
+        raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need {_article(type_name)}{quotes}")
     if known.choices and value not in known.choices:
         if (known.name, value) in RESERVED_CHOICES:
             raise ParameterError(

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,9 +15,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.parameter_values import parameter_values, parameters_from
 from imgu_ros.params import Declaration, Parameters, declarations
 from imgu_ros.ros.parameters import ParameterServer
+
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 class ServedNode(Node):
@@ -198,6 +202,18 @@ def test_fixed_parameters_may_be_set_to_what_they_are(make_node):
     assert not refused.successful
     assert node.set(image_transport="raw", seed=5).successful
     assert node.server.parameters.seed == 5
+
+
+def test_a_dump_of_the_node_is_read_again(make_node):
+    """As `ros2 param dump` wrote it: fixed parameters, QoS overrides, lists without values, a text `on`."""
+    dump = REPOSITORY / "test" / "launch_files" / "dump.yaml"
+    parameters = make_node(arguments=["--params-file", str(dump)]).server.parameters
+    assert parameters.targets.images == ("poster.png",)
+    assert parameters.targets.names == ()
+    assert parameters.targets.widths_m == (0.594,)
+    assert parameters.frames.map == "on"
+    # Offline it is the same.
+    assert parameters == parameters_from(read_parameter_file(dump))
 
 
 def test_a_parameter_file_is_read_and_checked(make_node, tmp_path):
