@@ -30,8 +30,10 @@ _SIGMAS, _FOR_FEW = 5.0, 2.0
 _LEAST = 0.005
 #: Prints and lens models are not better than this share of the focal length.
 _FLOOR = 0.001
-#: Of the squared misfit beyond chance, what the focal length must explain to be named.
-_MOST = 0.6
+#: Of the squared misfit beyond chance, what the focal length must explain to be named, and to stay so.
+_MOST, _MOST_HELD = 0.9, 0.75
+#: Views that tell what is wrong, and standard deviations that are said after fewer.
+_TELLING_VIEWS, _BEYOND_DOUBT = 4, 25.0
 #: Squared residuals so many times those of chance, over so many views at least, that no calibration explains.
 _SCATTERED, _SCATTERED_VIEWS = 8.0, 8
 #: What was once said is taken back below this share of what it took.
@@ -152,8 +154,11 @@ def finding_of(evidence: CalibrationEvidence, before: CalibrationFinding | None 
     least = held * _LEAST
     focal_sigma = math.hypot(e.focal_sigma, _FLOOR)
     too_long = 1 / (1 + max(e.focal, -0.9)) - 1
-    is_focal = abs(e.focal) > max(needed * focal_sigma, least) and e.focal_share > held * _MOST
-    is_other = (e.sigmas > needed and e.largest > max(least, needed * _FLOOR)) or (
+    # One view does not tell a focal length from a principal point: what explains it is said when several do.
+    enough = e.views >= _TELLING_VIEWS or e.sigmas > _BEYOND_DOUBT
+    most = _MOST if before is None or not before.is_focal else _MOST_HELD
+    is_focal = enough and abs(e.focal) > max(needed * focal_sigma, least) and e.focal_share > most
+    is_other = (enough and e.sigmas > needed and e.largest > max(least, needed * _FLOOR)) or (
         e.scatter > held * _SCATTERED and e.views >= _SCATTERED_VIEWS
     )
     warning = ""
