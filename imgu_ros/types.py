@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import StrEnum
+from enum import EnumMeta, StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from imgu_ros.arguments import shown
 from imgu_ros.errors import ShapeError
 
 #: An image, (H, W) or (H, W, C); uint8, uint16 or float32 in [0, 1]; `as_image` says what else is taken, and as what.
@@ -28,12 +29,19 @@ Indices = NDArray[np.intp]
 IMAGE_DTYPES = (np.uint8, np.uint16, np.float32)
 
 
-class Choice(StrEnum):
+class _ChoiceMeta(EnumMeta):
+    """What finds a member by its value; an array, which no member can be compared with, is no value."""
+
+    def __call__(cls, value: Any, *arguments: Any, **options: Any) -> Any:
+        return super().__call__(shown(value) if isinstance(value, np.ndarray) else value, *arguments, **options)
+
+
+class Choice(StrEnum, metaclass=_ChoiceMeta):
     """Base of the enumerations that callers name by strings: another string raises ShapeError and lists the choices."""
 
     @classmethod
     def _missing_(cls, value: object) -> None:
-        raise ShapeError(f"{cls.__name__}: {value!r}; need one of {', '.join(cls)}")
+        raise ShapeError(f"{cls.__name__}: {shown(value)}; need one of {', '.join(cls)}")
 
 
 def as_points(points: ArrayLike, name: str = "points", minimum: int = 0) -> Points:
@@ -187,28 +195,6 @@ def require_unit_range(image: Image, name: str = "image") -> None:
         )
 
 
-def as_generator(rng: np.random.Generator | int, name: str = "rng") -> np.random.Generator:
-    """Return a generator of random numbers: the given one, or a new one of a seed.
-
-    Parameters
-    ----------
-    rng : a generator, which is returned as it is, or a seed: an integer >= 0. None is refused: a result that cannot be
-        repeated is asked for by `np.random.default_rng()`
-    name : what the error calls it
-
-    Raises
-    ------
-    ShapeError
-        If it is neither.
-    """
-    if isinstance(rng, np.random.Generator):
-        return rng
-    if isinstance(rng, int | np.integer) and not isinstance(rng, bool) and rng >= 0:
-        return np.random.default_rng(int(rng))
-    shown = repr(rng) if isinstance(rng, int | float | str | None) else type(rng).__name__
-    raise ShapeError(f"{name}: {shown}; need a numpy.random.Generator, or a seed: an integer >= 0")
-
-
 def require_finite(array: NDArray[Any], name: str) -> NDArray[Any]:
     """Return an array of floats if all are finite, else raise `ShapeError`."""
     # One number tells it in half the time, unless it overflows.
@@ -226,7 +212,7 @@ def _as_array(values: Any, name: str) -> NDArray[Any]:
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(f"{name}: {_one_line(error)}; need numbers") from None
     if array.dtype.kind == "O" and array.ndim == 0:
-        raise ShapeError(f"{name}: {type(values).__name__}; need numbers")
+        raise ShapeError(f"{name}: {shown(values)}; need numbers")
     return array
 
 

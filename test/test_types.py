@@ -7,18 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from imgu_ros.arguments import as_generator
 from imgu_ros.errors import ImguError, ShapeError
-from imgu_ros.types import (
-    Choice,
-    as_floats,
-    as_generator,
-    as_image,
-    as_matrix,
-    as_plain,
-    as_points,
-    as_rows,
-    require_unit_range,
-)  # fmt: skip
+from imgu_ros.types import Choice, as_floats, as_image, as_matrix, as_plain, as_points, as_rows, require_unit_range
 
 ALL = (np.uint8, np.uint16, np.float32)
 

@@ -28,6 +28,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -327,6 +328,56 @@ def _violation(function: Callable[..., Any], cases: list[Case], room: Room, seed
 
 
 # ---------------------------------------------------------------------------------------------------------------------
+# Values that are no arrays
+
+#: For every parameter: never what is meant, unless it is a flag, a name or None where that is allowed.
+VALUES: dict[str, Callable[[], Any]] = {
+    "None": lambda: None, "'text'": lambda: "text", "'3'": lambda: "3", "bytes": lambda: b"ab", "{}": dict,
+    "{'a': 1}": lambda: {"a": 1}, "[]": list, "[None]": lambda: [None], "[['a', 'b']]": lambda: [["a", "b"]],
+    "ragged": lambda: [[1.0, 2.0], [3.0]], "set": lambda: {1.5}, "object": object, "int": lambda: int,
+    "lambda": lambda: lambda: 0, "generator": lambda: (i for i in range(3)), "1j": lambda: 1j,
+    "date": lambda: np.datetime64("2020-01-01"), "0-d": lambda: np.array(0.5), "0-d None": lambda: np.array(None),
+    "objects": lambda: np.array([None, "a"], object), "2-d": lambda: np.zeros((2, 3)),
+    "masked": lambda: np.ma.masked_equal(np.eye(3), 0), "KeyPoints": lambda: [cv2.KeyPoint(1, 2, 3)] * 4,
+}  # fmt: skip
+#: For parameters that are no arrays: numbers out of range, and numbers of other types.
+NUMBERS: dict[str, Any] = {
+    "nan": np.nan, "inf": np.inf, "-inf": -np.inf, "-1": -1, "0": 0, "-1e9": -1e9, "10**30": 10**30,
+    "-10**30": -(10**30), "1e300": 1e300, "1e-300": 1e-300, "2.5": 2.5, "3.0": 3.0, "True": True,
+    "np.bool": np.bool_(False), "np.int64": np.int64(3), "np.uint8": np.uint8(3), "np.float32": np.float32(3),
+    "0-d 3": np.array(3), "[3]": np.array([3]),
+}  # fmt: skip
+
+
+def _values(parameter: inspect.Parameter) -> dict[str, Callable[[], Any]]:
+    kind = str(parameter.annotation)
+    if any(name in kind for name in ARRAY_TYPES):
+        return VALUES
+    if "Callable" in kind or "Loss" in kind:  # what a function does when it is called is its own business
+        return {name: value for name, value in VALUES.items() if name not in ("int", "lambda")}
+    return VALUES | {name: lambda number=number: number for name, number in NUMBERS.items()}
+
+
+def _escapes(function: Callable[..., Any], arguments: dict[str, Any], room: Room, what: str) -> str | None:
+    """Return what is wrong with the answer to a call with values of other types."""
+    try:
+        _call(function, arguments, function in room.infinite)
+    except ImguError as error:
+        return None if str(error) and "\n" not in str(error) else f"{what}: {error!r} is not one line"
+    except Exception as error:  # whatever escapes is the finding
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        line = " ".join(str(error).split())[:150]
+        return f"{what}: {type(error).__name__}: {line} ({Path(at.filename).name}:{at.lineno})"
+    return None
+
+
+def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    variadic = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    parameters = inspect.signature(function).parameters.values()
+    return [parameter for parameter in parameters if parameter.name != "self" and parameter.kind not in variadic]
+
+
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def _room_of(name: str) -> Room:
@@ -357,6 +408,41 @@ def test_hostile_argument(name: str) -> None:
     wrong = [violation for violation in found if violation]
     if wrong:
         pytest.fail(f"{name}: {len(wrong)} of {len(cases)} hostile calls:\n  " + "\n  ".join(wrong), pytrace=False)
+
+
+#: What a test's own wrapper takes apart itself is no business of vision/.
+OURS = [name for name in LISTED if name in PUBLIC]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_values_of_other_types(name: str) -> None:
+    """None, words, dicts, objects, numbers out of range: for every parameter, those with defaults too."""
+    room, function = _room_of(name), EVERY[name]
+    wrong = []
+    for parameter in _parameters(function):
+        for what, value in _values(parameter).items():
+            arguments = room.calls[function](np.random.default_rng(0)) | {parameter.name: value()}
+            wrong.append(_escapes(function, arguments, room, f"{parameter.name}={what}"))
+    found = [violation for violation in wrong if violation]
+    if found:
+        pytest.fail(f"{name}: {len(found)} of {len(wrong)} calls:\n  " + "\n  ".join(found), pytrace=False)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_swapped_arguments(name: str) -> None:
+    room, function = _room_of(name), EVERY[name]
+    called = room.calls[function](np.random.default_rng(0))
+    # Not what an error calls an argument, and not functions, which fail in their own ways.
+    given = [p.name for p in _parameters(function) if p.name in called and p.name != "name"]
+    given = [name for name in given if not inspect.isfunction(called[name])]
+    wrong = []
+    for a, b in itertools.combinations(given, 2):
+        arguments = room.calls[function](np.random.default_rng(0))
+        arguments[a], arguments[b] = arguments[b], arguments[a]
+        wrong.append(_escapes(function, arguments, room, f"{a} and {b} swapped"))
+    found = [violation for violation in wrong if violation]
+    if found:
+        pytest.fail(f"{name}: {len(found)} of {len(wrong)} calls:\n  " + "\n  ".join(found), pytrace=False)
 
 
 @pytest.mark.parametrize("name", LISTED)

@@ -70,6 +70,7 @@ from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform, rigid_
 from imgu_ros.vision.camera.rotation import as_rotation, exp_so3, from_quaternion, log_so3, nearest_rotation, quaternion
 from imgu_ros.vision.camera.rotation_model import RotationEstimate, RotationModel, estimate_rotation
 from imgu_ros.vision.camera.rotation_view import rotation_from_homography, rotation_homography
+from imgu_ros.vision.camera.sensor_tilt import tilt_derivatives, tilt_matrix
 from imgu_ros.vision.camera.view_choice import board_turns, choose_views, without_copies
 
 __all__ = [
@@ -151,6 +152,8 @@ __all__ = [
     "rotation_from_homography",
     "rotation_homography",
     "rq",
+    "tilt_derivatives",
+    "tilt_matrix",
     "unbend",
     "weigh_calibration",
     "weighed_poses",

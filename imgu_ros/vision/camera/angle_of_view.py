@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.projection import as_intrinsic_matrix
@@ -42,6 +43,9 @@ def intrinsic_matrix(width: int, height: int, angle_of_view_rad: float) -> Matri
     >>> intrinsic_matrix(640, 480, np.pi / 2).round(6).tolist()
     [[320.0, 0.0, 319.5], [0.0, 320.0, 239.5], [0.0, 0.0, 1.0]]
     """
+    width = as_integer(width, "width")
+    height = as_integer(height, "height")
+    angle_of_view_rad = as_number(angle_of_view_rad, "angle_of_view_rad")
     if not 0 < angle_of_view_rad < math.pi:
         raise ShapeError(f"angle_of_view_rad: {angle_of_view_rad}; need between 0 and pi")
     return _centred(width, height, width / 2 / math.tan(angle_of_view_rad / 2))
@@ -66,6 +70,10 @@ def intrinsic_matrix_of_lens(width: int, height: int, focal_length_m: float, pix
     >>> intrinsic_matrix_of_lens(640, 480, 4e-3, 5e-6)[0].round(6).tolist()
     [800.0, 0.0, 319.5]
     """
+    width = as_integer(width, "width")
+    height = as_integer(height, "height")
+    focal_length_m = as_number(focal_length_m, "focal_length_m")
+    pixel_m = as_number(pixel_m, "pixel_m")
     if not (0 < focal_length_m < math.inf and 0 < pixel_m < math.inf):
         raise ShapeError(f"focal_length_m, pixel_m: {focal_length_m}, {pixel_m}; need positive lengths")
     return _centred(width, height, focal_length_m / pixel_m)
@@ -90,6 +98,8 @@ def angle_of_view(K: ArrayLike, width: int, height: int) -> AngleOfView:
     >>> round(float(np.rad2deg(view.horizontal)), 3), round(float(np.rad2deg(view.vertical)), 3)
     (90.0, 73.74)
     """
+    width = as_integer(width, "width")
+    height = as_integer(height, "height")
     K = as_intrinsic_matrix(K)
     _require_size(width, height)
     left, right = -0.5, width - 0.5

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import as_sequence
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Points, as_points
 from imgu_ros.vision.camera.distortion import bend_with_derivatives
-from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel
+from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel, as_distortion_model
 from imgu_ros.vision.camera.pose_problem import point_by_pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
@@ -52,6 +53,7 @@ class BundleProblem:
     """
 
     def __init__(self, plane_xy: Points, views: Sequence[Points], model: DistortionModel) -> None:
+        views, model = as_sequence(views, "views"), as_distortion_model(model)
         self._plane = as_points(plane_xy, "plane_xy", 1)
         pixels = [as_points(view, f"views[{index}]") for index, view in enumerate(views)]
         if not pixels or any(len(view) != len(self._plane) for view in pixels):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_flag, as_integer, as_sequence
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NotConverged, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Points, as_points
 from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
@@ -140,6 +141,10 @@ def calibrate(
     >>> found.camera.K.round(4).tolist()
     [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
     """
+    views = as_sequence(views, "views")
+    refuse_outliers = as_flag(refuse_outliers, "refuse_outliers")
+    width = as_integer(width, "width")
+    height = as_integer(height, "height")
     board_xy, pixels = _checked(board_xy, views, width, height)
     model = as_distortion_model(model)
     indices = list(without_copies(board_xy, pixels, width, height))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.types import Floats, Indices, Mask
 from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.resection import (
@@ -50,6 +51,9 @@ def estimate_projection(
     DegenerateConfiguration
         If the inliers do not determine a camera.
     """
+    threshold_px = as_number(threshold_px, "threshold_px")
+    confidence = as_number(confidence, "confidence")
+    max_iterations = as_integer(max_iterations, "max_iterations")
     model = ProjectionModel(world, pixels)
     consensus = ransac(
         model,

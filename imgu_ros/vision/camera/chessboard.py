@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_flag, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Points, as_image
 
@@ -74,6 +75,9 @@ def find_chessboard(grey: Image, board: Chessboard, *, quick: bool = True, thoro
     ShapeError
         If `grey` is not such an image.
     """
+    quick = as_flag(quick, "quick")
+    thorough = as_flag(thorough, "thorough")
+    require_type(board, Chessboard, "board")
     grey = as_image(grey, "grey", dtypes=(np.uint8,))
     size = (board.columns, board.rows)
     longest = max(grey.shape)

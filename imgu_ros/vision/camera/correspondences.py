@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Points, as_points, as_rows
 
@@ -23,6 +24,8 @@ def as_correspondences(
     TooFewPoints
         If there are fewer.
     """
+    fewest = as_integer(fewest, "fewest")
+    largest = as_number(largest, "largest")
     points, pixels = as_rows(points, 3, name), as_points(pixels, "pixels")
     if len(points) != len(pixels):
         raise ShapeError(f"pixels: {len(pixels)} points; need {len(points)}, one for each of {name}")

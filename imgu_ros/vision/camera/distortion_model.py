@@ -63,6 +63,7 @@ def as_coefficients(coefficients: ArrayLike, model: DistortionModel) -> Floats:
     ShapeError
         If there are too many, or one is not a finite number.
     """
+    model = as_distortion_model(model)
     try:
         raw = np.asarray(coefficients)
         given = raw.astype(np.float64).ravel() if raw.dtype.kind in "biufO" else None

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points, as_rows
 from imgu_ros.vision.camera.distortion import bend, unbend
@@ -144,6 +145,8 @@ def make_camera(K: ArrayLike, distortion: ArrayLike, model: DistortionModel | st
     >>> camera.undistort(pixels)[0].round(6).tolist()
     [[0.3, -0.1]]
     """
+    width = as_integer(width, "width")
+    height = as_integer(height, "height")
     matrix = as_intrinsic_matrix(K).copy()
     if not (0 < width < math.inf and 0 < height < math.inf):
         raise ShapeError(f"camera size: {width} x {height}; need positive width and height")

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number, require_type, shown
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Floats, Points, as_matrix, as_points
 from imgu_ros.vision.camera.calibration_test import FREEDOM, LEAST_NOISE_PX, CalibrationTest
@@ -82,6 +83,8 @@ def planar_poses(
     TooFewPoints, DegenerateConfiguration
         If the points do not determine a pose in front of the camera.
     """
+    require_type(camera, Camera, "camera")
+    noise_px = None if noise_px is None else as_number(noise_px, "noise_px")
     plane_xy, pixels = as_points(plane_xy, "plane_xy"), as_points(pixels, "pixels")
     if len(plane_xy) != len(pixels):
         raise ShapeError(f"pixels: {len(pixels)} points; need {len(plane_xy)}, one for each of plane_xy")
@@ -135,9 +138,14 @@ def weighed_poses(
     -------
     Without solutions when every start failed.
     """
+    listed = isinstance(starts, Iterable) and not isinstance(starts, np.ndarray)
+    if not (listed and callable(start_rms_px) and callable(refined)):
+        raise ShapeError("starts, start_rms_px, refined: need transforms, and two functions of one")
     found: list[Pose] = []
     refuted_px = math.inf
     for start in starts:
+        if not isinstance(start, RigidTransform):
+            raise ShapeError(f"starts: {shown(start)}; need RigidTransform objects")
         try:
             if found:
                 start_px = start_rms_px(start)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number, require_type
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Points
 from imgu_ros.vision.camera.camera_covariance import covariance_factor
@@ -58,6 +59,8 @@ def fit_pose(points: ArrayLike, pixels: ArrayLike, camera: Camera, noise_px: flo
     >>> fit_pose(points, camera.project(points + [0.1, 0.05, 1.0]), camera).t.round(9).tolist()
     [0.1, 0.05, 1.0]
     """
+    require_type(camera, Camera, "camera")
+    noise_px = None if noise_px is None else as_number(noise_px, "noise_px")
     points, pixels = as_correspondences(points, pixels, _FEWEST_POINTS, largest=_LARGEST)
     if noise_px is not None and not 0 < noise_px < math.inf:
         raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")
@@ -108,6 +111,10 @@ def estimate_pose(
     TooFewPoints, NoConsensus, DegenerateConfiguration
         If the correspondences, or those that agree, do not determine a pose.
     """
+    require_type(camera, Camera, "camera")
+    threshold_px = as_number(threshold_px, "threshold_px")
+    confidence = as_number(confidence, "confidence")
+    max_iterations = as_integer(max_iterations, "max_iterations")
     model = PoseModel(points, pixels, camera)
     consensus = ransac(
         model, threshold_px, rng, confidence=confidence, max_iterations=max_iterations, min_inliers=6, unit=" px"
@@ -126,6 +133,7 @@ class PoseModel:
     """
 
     def __init__(self, points: ArrayLike, pixels: ArrayLike, camera: Camera) -> None:
+        require_type(camera, Camera, "camera")
         self.points, self.pixels = as_correspondences(points, pixels, _FEWEST_POINTS, largest=_LARGEST)
         self._camera = camera
         self._normalized, self._valid = camera.undistort(self.pixels)

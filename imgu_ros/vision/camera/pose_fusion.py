@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import as_sequence, require_type
 from imgu_ros.errors import DegenerateConfiguration, NotConverged, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Matrix3, as_matrix
 from imgu_ros.vision.camera.pose import Pose
@@ -72,6 +73,10 @@ def fuse_poses(poses: Sequence[Pose], slack: Sequence[Floats] | None = None) -> 
     NotConverged
         If the estimates are so far apart that no pose lies between them.
     """
+    poses = as_sequence(poses, "poses")
+    slack = None if slack is None else as_sequence(slack, "slack")
+    for index, pose in enumerate(poses):
+        require_type(pose, Pose, f"poses[{index}]")
     if not poses:
         raise TooFewPoints("poses: none; need at least one")
     if slack is not None and len(slack) != len(poses):
@@ -128,6 +133,8 @@ def pose_seen_from(new_from_dst: RigidTransform, pose: Pose) -> Pose:
     ShapeError
         If one of them is no rigid transform.
     """
+    require_type(new_from_dst, RigidTransform, "new_from_dst")
+    require_type(pose, Pose, "pose")
     R = as_rotation(new_from_dst.R, "new_from_dst")
     moved = RigidTransform(R, as_matrix(new_from_dst.t, (3,), "new_from_dst.t")).after(
         RigidTransform(as_rotation(pose.R, "pose"), as_matrix(pose.t, (3,), "pose.t"))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Floats, Mask, Points, as_matrix
 from imgu_ros.vision.camera.correspondences import as_correspondences
@@ -77,6 +78,7 @@ def fit_projection(world: ArrayLike, pixels: ArrayLike, noise_px: float | None =
     >>> camera_centre(fit_projection(world, project(P, world)).P).round(9).tolist()
     [-0.1, -0.2, -3.0]
     """
+    noise_px = None if noise_px is None else as_number(noise_px, "noise_px")
     world, pixels = as_correspondences(world, pixels, FEWEST_POINTS, "world")
     if noise_px is not None and not 0 < noise_px < math.inf:
         raise ShapeError(f"noise_px: {noise_px}; need a positive number, or None")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number, require_type
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -70,6 +71,11 @@ def estimate_rotation(
     DegenerateConfiguration
         If those that agree lie in one direction.
     """
+    require_type(camera_src, Camera, "camera_src")
+    require_type(camera_dst, Camera, "camera_dst")
+    threshold_px = as_number(threshold_px, "threshold_px")
+    confidence = as_number(confidence, "confidence")
+    max_iterations = as_integer(max_iterations, "max_iterations")
     model = RotationModel(src, dst, camera_src, camera_dst)
     consensus = ransac(
         model,
@@ -97,6 +103,8 @@ class RotationModel:
     """
 
     def __init__(self, src: ArrayLike, dst: ArrayLike, camera_src: Camera, camera_dst: Camera) -> None:
+        require_type(camera_src, Camera, "camera_src")
+        require_type(camera_dst, Camera, "camera_dst")
         src, self.dst = as_points(src, "src"), as_points(dst, "dst")
         if len(src) != len(self.dst):
             raise ShapeError(f"dst: {len(self.dst)} points; need {len(src)}, one for each of src")

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3
 
@@ -31,6 +32,7 @@ def tilt_matrix(tau_x: float, tau_y: float) -> Matrix3:
     >>> tilt_matrix(0.1, -0.05)[:2, 2].tolist()  # the axis stays
     [0.0, 0.0]
     """
+    tau_x, tau_y = as_number(tau_x, "tau_x"), as_number(tau_y, "tau_y")
     finite = math.isfinite(tau_x) and math.isfinite(tau_y)
     R = _turn_y(tau_y) @ _turn_x(tau_x) if finite else np.zeros((3, 3))
     if not R[2, 2] > _EDGE_ON:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 
+from imgu_ros.arguments import as_integer, as_sequence
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices, as_points
 
@@ -52,6 +52,7 @@ def choose_views(
     >>> choose_views([view, view + 1, view + [200, 50], view[::-1] - 1], 640, 480)
     (0, 2)
     """
+    most = as_integer(most, "most")
     if not most >= 1:
         raise ShapeError(f"most: {most}; need a positive number")
     stack = _in_diagonals(views, width, height)
@@ -116,6 +117,9 @@ def board_turns(board_xy: ArrayLike) -> tuple[Indices, ...]:
     ShapeError
         If they are no finite points.
     """
+    # It takes half a second to load: only for those who calibrate.
+    from scipy.spatial import KDTree
+
     board_xy = as_points(board_xy, "board_xy", 1)
     as_is = np.arange(len(board_xy))
     size = float(np.ptp(board_xy, axis=0).max())
@@ -135,7 +139,8 @@ def board_turns(board_xy: ArrayLike) -> tuple[Indices, ...]:
 
 def _in_diagonals(views: Sequence[ArrayLike], width: int, height: int) -> Floats:
     """Return views of equally many points, (V, N, 2), in units of the picture's diagonal."""
-    if not (0 < width < math.inf and 0 < height < math.inf):
+    views, width, height = as_sequence(views, "views"), as_integer(width, "width"), as_integer(height, "height")
+    if not (width > 0 and height > 0):
         raise ShapeError(f"width, height: {width}, {height}; need positive numbers")
     points = [as_points(view, f"views[{index}]", 1) for index, view in enumerate(views)]
     if len({len(view) for view in points}) > 1:

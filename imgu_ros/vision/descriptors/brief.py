@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.descriptors.described import Described, checked_corners
@@ -50,6 +51,7 @@ def describe_brief(image: Image, corners: Corners, seed: int = _SEED) -> Describ
     >>> described.descriptors.shape
     (1, 32)
     """
+    seed = as_integer(seed, "seed")
     image = as_image(image, dtypes=(np.uint8,))
     corners = checked_corners(corners)
     pairs = brief_pairs(seed)
@@ -85,6 +87,8 @@ def brief_pairs(seed: int = _SEED, count: int = BITS) -> NDArray[np.intp]:
     >>> brief_pairs(seed=1).shape
     (256, 2, 2)
     """
+    seed = as_integer(seed, "seed")
+    count = as_integer(count, "count")
     try:
         seed, count = operator.index(seed), operator.index(count)
     except TypeError:

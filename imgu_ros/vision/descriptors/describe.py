@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices, as_matrix, as_points
 from imgu_ros.vision.descriptors.brief import describe_brief
@@ -71,6 +72,8 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
     >>> describe(pyramid, point, "rootsift").descriptors.shape
     (1, 128)
     """
+    require_type(pyramid, Pyramid, "pyramid")
+    require_type(keypoints, Keypoints, "keypoints")
     kind = DescriptorKind(kind)
     keypoints = _checked(keypoints)
     if len(keypoints) and not 0 <= int(keypoints.octave.min()) <= int(keypoints.octave.max()) < len(pyramid.levels):

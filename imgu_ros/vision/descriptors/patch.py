@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image, as_matrix, as_points
 from imgu_ros.vision.descriptors.described import Described, checked_corners
@@ -94,6 +95,7 @@ def sample_patches(image: Image, xy: Points, step_px: Floats, angle: Floats, sid
     >>> sample_patches(picture, centre, one, 0 * one, 2).tolist()
     [[[0.0, 10.0], [20.0, 30.0]]]
     """
+    side = as_integer(side, "side")
     image = as_image(image)
     xy = as_points(xy, "xy")
     step_px, angle = as_matrix(step_px, (len(xy),), "step_px"), as_matrix(angle, (len(xy),), "angle")

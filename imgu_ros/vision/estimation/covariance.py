@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from imgu_ros.arguments import as_number, require_type
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, as_matrix, as_points
 from imgu_ros.vision.estimation.nonlinear import Minimum
@@ -31,6 +32,8 @@ def propagated_covariance(minimum: Minimum, noise: float | None = None, correlat
     ShapeError
         If the correlation is not (N, N).
     """
+    require_type(minimum, Minimum, "minimum")
+    noise = None if noise is None else as_number(noise, "noise")
     jacobian, residuals = minimum.linearisation.jacobian, minimum.linearisation.residuals
     count, _, parameters = jacobian.shape
     normal = minimum.normal_matrix
@@ -62,6 +65,7 @@ def window_correlation(xy: Floats, side: float) -> Floats:
     xy : (N, 2) px, centres of square windows
     side : px, of the windows
     """
+    side = as_number(side, "side")
     xy = as_points(xy, "xy")
     if not 0 < side < np.inf or (xy.size and not np.abs(xy).max() < 1e100):
         raise ShapeError(f"side, xy: {side!r}; need places in a picture, and a side above 0")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats
 
@@ -33,6 +34,7 @@ def huber(scale: float) -> Loss:
     >>> weight.tolist(), cost.tolist()
     ([1.0, 0.5], [0.25, 3.0])
     """
+    scale = as_number(scale, "scale")
     scale = _checked(scale)
 
     def loss(squared: Floats) -> tuple[Floats, Floats]:
@@ -58,6 +60,7 @@ def cauchy(scale: float) -> Loss:
     >>> weight.tolist(), cost.round(6).tolist()
     ([1.0, 0.5], [0.0, 0.693147])
     """
+    scale = as_number(scale, "scale")
     scale = _checked(scale)
 
     def loss(squared: Floats) -> tuple[Floats, Floats]:
@@ -81,6 +84,7 @@ def tukey(scale: float) -> Loss:
     >>> weight.tolist(), cost.round(6).tolist()
     ([1.0, 0.25, 0.0], [0.0, 1.166667, 1.333333])
     """
+    scale = as_number(scale, "scale")
     scale = _checked(scale)
 
     def loss(squared: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError
+from imgu_ros.arguments import shown
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Choice, Floats, as_matrix
 from imgu_ros.vision.estimation.linear import shape_of
 from imgu_ros.vision.estimation.losses import Loss
@@ -127,6 +128,15 @@ def minimise(
     >>> minimum.estimate.round(9).tolist(), minimum.converged
     ([3.0], True)
     """
+    if not (hasattr(problem, "linearise") and hasattr(problem, "step")):
+        raise ShapeError(f"problem: {shown(problem)}; need an object that linearises and steps")
+    if loss is not None and not callable(loss):
+        raise ShapeError(f"loss: {shown(loss)}; need huber, cauchy or tukey of a scale, or None")
+    if not (isinstance(max_iterations, int | np.integer) and isinstance(tolerance, float | int) and tolerance < 1e100):
+        raise ShapeError(
+            f"max_iterations, tolerance: {shown(max_iterations)}, {shown(tolerance)}; "
+            "need an integer, and a number below 1e100"
+        )
     method = Minimiser(method)
     start = as_matrix(start, shape_of(start, "start"), "start")
     guarded = method is not Minimiser.GAUSS_NEWTON

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from imgu_ros.arguments import as_integer, as_number, require_methods
 from imgu_ros.errors import EstimationError, NoConsensus, ShapeError
 from imgu_ros.types import Choice, Floats, Indices, Mask
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
@@ -124,7 +125,12 @@ def ransac(
     >>> ransac(LineModel(points), 0.1, np.random.default_rng(0)).inliers.tolist()
     [True, True, True, False, True, False, True]
     """
-    if not (0 < threshold < 1e150 and 0 < confidence < 1 and max_iterations >= 1):
+    require_methods(model, ("count", "sample_size", "generate", "squared_errors"), "model")
+    threshold = as_number(threshold, "threshold")
+    confidence = as_number(confidence, "confidence")
+    max_iterations = as_integer(max_iterations, "max_iterations")
+    min_inliers = as_integer(min_inliers, "min_inliers")
+    if not (1e-150 < threshold < 1e150 and 0 < confidence < 1 and max_iterations >= 1):
         raise ShapeError(
             f"threshold, confidence, max_iterations: {threshold}, {confidence}, {max_iterations}; "
             "need > 0, between 0 and 1, >= 1"
@@ -171,6 +177,9 @@ def iterations_needed(inlier_share: float, sample_size: int, confidence: float) 
     >>> iterations_needed(0.5, 4, 0.99)  # HZ table 4.3
     72
     """
+    inlier_share = as_number(inlier_share, "inlier_share")
+    sample_size = as_integer(sample_size, "sample_size")
+    confidence = as_number(confidence, "confidence")
     if not (0 <= inlier_share <= 1 and sample_size >= 1 and 0 < confidence < 1):
         raise ShapeError(
             f"inlier_share, sample_size, confidence: {inlier_share}, {sample_size}, {confidence}; "

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from imgu_ros.arguments import as_generator, as_integer
 from imgu_ros.errors import ShapeError, TooFewPoints
-from imgu_ros.types import Choice, Indices, as_generator
+from imgu_ros.types import Choice, Indices
 
 
 class Sampler(Choice):
@@ -53,6 +54,9 @@ def draw_samples(
     >>> sorted(samples[0].tolist())  # the best four first
     [0, 1, 2, 3]
     """
+    count = as_integer(count, "count")
+    sample_size = as_integer(sample_size, "sample_size")
+    largest_batch = as_integer(largest_batch, "largest_batch")
     rng = as_generator(rng)
     if sample_size < 1 or largest_batch < 1:
         raise ShapeError(f"sample_size, largest_batch: {sample_size}, {largest_batch}; need at least 1")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from imgu_ros.arguments import as_integer, as_sequence
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image, as_matrix, as_plain
 
@@ -254,7 +255,7 @@ def _filled(grey: Floats, may_lack_values: bool) -> Image:
 
 
 def _chosen(cube: Image, bands: Sequence[int]) -> Image:
-    numbers = [int(band) for band in bands]
+    numbers = [as_integer(band, "bands") for band in as_sequence(bands, "bands")]
     if not numbers:
         return cube
     if min(numbers) < 0 or max(numbers) >= cube.shape[2]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from imgu_ros.arguments import as_integer, as_sequence, shown
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, as_image
+
+_LONGEST_PX = 1 << 16
 
 
 class BayerPattern(Choice):
@@ -55,11 +58,12 @@ def site_mask(shape: tuple[int, int], pattern: BayerPattern, color: str) -> Imag
     ShapeError
         If the shape is negative, or the pattern or the colour is unknown.
     """
-    if color not in ("r", "g", "b"):
-        raise ShapeError(f"color: {color!r}; need 'r', 'g' or 'b'")
-    if len(shape) != 2 or min(shape) < 0:
-        raise ShapeError(f"shape: {shape}; need (height, width)")
-    out = np.zeros(shape, bool)
+    if not isinstance(color, str) or color not in ("r", "g", "b"):
+        raise ShapeError(f"color: {shown(color)}; need 'r', 'g' or 'b'")
+    sides = [as_integer(side, "shape") for side in as_sequence(shape, "shape")]
+    if len(sides) != 2 or not 0 <= min(sides) <= max(sides) <= _LONGEST_PX:
+        raise ShapeError(f"shape: {sides}; need (height, width), up to {_LONGEST_PX} px")
+    out = np.zeros(sides, bool)
     for index, site in enumerate(BayerPattern(pattern).value):
         row, column = divmod(index, 2)
         out[row::2, column::2] = site == color

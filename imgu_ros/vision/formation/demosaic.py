@@ -7,6 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_flag
 from imgu_ros.types import Choice, Image
 from imgu_ros.vision.formation.cfa import BayerPattern, as_mosaic
 from imgu_ros.vision.formation.demosaicking.hamilton_adams import demosaic_hamilton_adams
@@ -85,6 +86,7 @@ def grey_from_mosaic(raw: Image, pattern: BayerPattern, exact_border: bool = Tru
     >>> grey_from_mosaic(np.full((4, 6), 77, np.uint8), BayerPattern.BGGR)[0].tolist()
     [77, 77, 77, 77, 77, 77]
     """
+    exact_border = as_flag(exact_border, "exact_border")
     raw, pattern = as_mosaic(raw), BayerPattern(pattern)
     if min(raw.shape) < 3:
         return cv2.cvtColor(demosaic_bilinear(raw, pattern), cv2.COLOR_RGB2GRAY)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_number, as_sequence
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.formation.cfa import BayerPattern
@@ -48,12 +49,15 @@ def with_levels(
     >>> with_levels(raw, BayerPattern.RGGB, 64, 1023, (1.0, 1.0, 2.0)).tolist()
     [[0, 65535], [32802, 32802]]
     """
+    black = as_number(black, "black")
+    white = as_number(white, "white")
     raw = as_image(raw, "raw", dtypes=(np.uint8, np.uint16), rescaled=False)
     top = float(np.iinfo(raw.dtype).max)
     _require_range(black, white or top)
-    if len(gains) != 3 or not all(math.isfinite(g) and g >= 0 for g in gains):
-        raise ShapeError(f"gains: {list(gains)}; need 3 finite numbers >= 0 (red, green, blue)")
-    factors = [g * top / ((white or top) - black) for g in gains]
+    factors = [as_number(gain, "gains") for gain in as_sequence(gains, "gains")]
+    if len(factors) != 3 or not all(math.isfinite(g) and g >= 0 for g in factors):
+        raise ShapeError(f"gains: {factors}; need 3 finite numbers >= 0 (red, green, blue)")
+    factors = [g * top / ((white or top) - black) for g in factors]
     if black == 0 and all(f == 1.0 for f in factors):
         return raw
     out = np.empty_like(raw)
@@ -96,6 +100,8 @@ def stretched_to_8_bit(grey: Image, black: float, white: float | None) -> Image:
     >>> stretched_to_8_bit(np.array([[29_500, 29_600, 29_700]], np.uint16), 0, None).tolist()
     [[0, 128, 255]]
     """
+    black = as_number(black, "black")
+    white = None if white is None else as_number(white, "white")
     grey = as_image(grey, "grey")
     if white is None:
         step = max(1, int(np.sqrt(grey.size / _SAMPLES)))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, as_floats
 
@@ -101,6 +102,7 @@ def circle_of_confusion(lens: ThinLens, depth_m: ArrayLike) -> Floats:
     >>> (circle_of_confusion(lens, [1.0, 2.0, 4.0]) * 1e3).round(4).tolist()
     [0.641, 0.0, 0.3205]
     """
+    require_type(lens, ThinLens, "lens")
     depth = as_floats(depth_m, "depth_m")
     if not (depth > 0).all():
         raise ShapeError("depth_m: a value is 0, negative or no number; need distances > 0")
@@ -130,8 +132,14 @@ def hyperfocal_distance(focal_length_m: float, f_number: float, circle_m: float)
     >>> round(hyperfocal_distance(0.050, 8.0, 30e-6), 3)
     10.467
     """
+    focal_length_m = as_number(focal_length_m, "focal_length_m")
+    f_number = as_number(f_number, "f_number")
+    circle_m = as_number(circle_m, "circle_m")
     lens = ThinLens(focal_length_m, f_number)
-    return lens.aperture_m * focal_length_m / _positive(circle_m, "circle_m", "m") + focal_length_m
+    distance = lens.aperture_m * focal_length_m / _positive(circle_m, "circle_m", "m") + focal_length_m
+    if not math.isfinite(distance):
+        raise ShapeError(f"focal_length_m: {focal_length_m:g}; need the focal length of a lens")
+    return distance
 
 
 def depth_of_field(lens: ThinLens, circle_m: float) -> DepthOfField:
@@ -155,6 +163,8 @@ def depth_of_field(lens: ThinLens, circle_m: float) -> DepthOfField:
     >>> round(field.near_m, 3), round(field.far_m, 3)
     (3.389, 9.527)
     """
+    require_type(lens, ThinLens, "lens")
+    circle_m = as_number(circle_m, "circle_m")
     reach = _positive(circle_m, "circle_m", "m") / (lens.aperture_m * lens.image_distance_m)
     near, far = 1 / lens.focus_m + reach, 1 / lens.focus_m - reach
     # At the hyperfocal distance the two terms are equal but for rounding.
@@ -182,6 +192,7 @@ def disc_kernel(diameter_px: float) -> Image:
     >>> disc_kernel(2.0).astype(float).round(3).tolist()
     [[0.025, 0.145, 0.025], [0.145, 0.318, 0.145], [0.025, 0.145, 0.025]]
     """
+    diameter_px = as_number(diameter_px, "diameter_px")
     if not 0 <= diameter_px <= 1000:
         raise ShapeError(f"diameter_px: {diameter_px:g}; need 0 to 1000 px")
     radius = diameter_px / 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 
 _FULL_FRAME_DIAGONAL_M = math.hypot(0.036, 0.024)
@@ -34,9 +35,9 @@ class PixelArray:
 
     def __post_init__(self) -> None:
         """Raise ShapeError when a value is out of range."""
-        if not (1 <= self.width <= 1 << 31 and 1 <= self.height <= 1 << 31):
+        if not all(1 <= as_integer(getattr(self, side), side) <= 1 << 31 for side in ("width", "height")):
             raise ShapeError(f"size: {self.width} x {self.height} px; need at least 1 x 1")
-        if not 1e-12 <= self.pitch_m <= 1:
+        if not 1e-12 <= as_number(self.pitch_m, "pitch_m") <= 1:
             raise ShapeError(f"pitch_m: {self.pitch_m:g}; need more than 0 m (1e-12 to 1)")
 
     @property
@@ -73,6 +74,7 @@ class PixelArray:
         ShapeError
             If the distance is not positive.
         """
+        image_distance_m = as_number(image_distance_m, "image_distance_m")
         if not 0 < image_distance_m < math.inf:
             raise ShapeError(f"image_distance_m: {image_distance_m:g}; need more than 0 m")
         return image_distance_m / self.pitch_m

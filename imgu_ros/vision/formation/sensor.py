@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_generator, as_integer, as_number, require_type
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Floats, Image, as_floats, as_generator, as_image
+from imgu_ros.types import Floats, Image, as_floats, as_image
 
 #: Bit depths of analogue-to-digital converters that can be simulated.
 BIT_DEPTHS = (8, 10, 12, 14, 16)
@@ -39,13 +40,13 @@ class Sensor:
 
     def __post_init__(self) -> None:
         """Raise ShapeError when a value is out of range."""
-        if self.bits not in BIT_DEPTHS:
+        if as_integer(self.bits, "bits") not in BIT_DEPTHS:
             raise ShapeError(f"bits: {self.bits}; need one of {', '.join(map(str, BIT_DEPTHS))}")
-        if not 1e-15 <= self.full_well_e <= _MOST_ELECTRONS:
+        if not 1e-15 <= as_number(self.full_well_e, "full_well_e") <= _MOST_ELECTRONS:
             raise ShapeError(f"full_well_e: {self.full_well_e:g}; need more than 0 electrons (1e-15 to 1e15)")
-        if not 0 <= self.read_noise_e <= _MOST_ELECTRONS:
+        if not 0 <= as_number(self.read_noise_e, "read_noise_e") <= _MOST_ELECTRONS:
             raise ShapeError(f"read_noise_e: {self.read_noise_e:g}; need 0 electrons or more (to 1e15)")
-        if not 0 <= self.black_level_dn < self.white_level_dn:
+        if not 0 <= as_number(self.black_level_dn, "black_level_dn") < self.white_level_dn:
             raise ShapeError(f"black_level_dn: {self.black_level_dn:g}; need 0 to below {self.white_level_dn}")
 
     @property
@@ -68,6 +69,7 @@ class Sensor:
         ShapeError
             If the gain is not positive.
         """
+        gain = as_number(gain, "gain")
         if not (math.isfinite(gain) and gain > 0):
             raise ShapeError(f"gain: {gain:g}; need more than 0")
         return replace(self, full_well_e=self.full_well_e / gain)
@@ -107,6 +109,7 @@ def quantise(signal: Image, bits: int) -> Image:
     >>> quantise(np.array([[-0.1, 0.25, 1.0, 2.0]], np.float32), 10).tolist()
     [[0, 256, 1023, 1023]]
     """
+    bits = as_integer(bits, "bits")
     signal = as_image(signal, "signal", channels=(1, 3, 4), dtypes=(np.float32,))
     if bits not in BIT_DEPTHS:
         raise ShapeError(f"bits: {bits}; need one of {', '.join(map(str, BIT_DEPTHS))}")
@@ -139,6 +142,7 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Imag
     >>> str(pixels.dtype), round(float(pixels.mean())), round(float(pixels.std()))  # sqrt(5016) e x 0.41 DN/e
     ('uint16', 2048, 29)
     """
+    require_type(sensor, Sensor, "sensor")
     light = as_image(light, "light", channels=(1, 3, 4), dtypes=(np.float32,))
     rng = as_generator(rng)
     electrons = np.minimum(light, np.float32(_MOST_LIGHT))

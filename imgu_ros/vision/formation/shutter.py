@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_floats, as_matrix, as_points
 
@@ -40,7 +41,7 @@ class Exposure:
     def __post_init__(self) -> None:
         """Raise ShapeError when a value is not positive."""
         for name in ("time_s", "f_number", "iso"):
-            value = getattr(self, name)
+            value = as_number(getattr(self, name), name)
             if not (1e-12 <= value <= 1e12):
                 raise ShapeError(f"{name}: {value:g}; need a number above 0 (1e-12 to 1e12)")
 
@@ -80,6 +81,7 @@ def motion_kernel(velocity_px_s: ArrayLike, time_s: float) -> Image:
     >>> motion_kernel([300.0, 0.0], 0.01).astype(float).round(4).tolist()
     [[0.0417, 0.2917, 0.3333, 0.2917, 0.0417]]
     """
+    time_s = as_number(time_s, "time_s")
     velocity = as_matrix(velocity_px_s, (2,), "velocity_px_s")
     if not 0 <= time_s < math.inf:
         raise ShapeError(f"time_s: {time_s:g}; need 0 s or more")
@@ -128,6 +130,8 @@ def row_times(height: int, row_time_s: float) -> Floats:
     >>> (row_times(4, 20e-6) * 1e6).round(3).tolist()
     [-30.0, -10.0, 10.0, 30.0]
     """
+    height = as_integer(height, "height")
+    row_time_s = as_number(row_time_s, "row_time_s")
     if height < 1 or not math.isfinite(height * row_time_s):
         raise ShapeError(f"height, row_time_s: {height}, {row_time_s:g}; need rows and a finite time")
     return np.asarray((np.arange(height) - (height - 1) / 2) * row_time_s, np.float64)
@@ -161,6 +165,8 @@ def rolling_shutter_points(points: ArrayLike, velocity_px_s: ArrayLike, row_time
     >>> rolling_shutter_points([[10.0, 0.0], [10.0, 99.0]], [2000.0, 0.0], 20e-6, 100).round(2).tolist()
     [[8.02, 0.0], [11.98, 99.0]]
     """
+    row_time_s = as_number(row_time_s, "row_time_s")
+    height = as_integer(height, "height")
     points = as_points(points)
     if height < 1 or not math.isfinite(row_time_s):
         raise ShapeError(f"height, row_time_s: {height}, {row_time_s:g}; need rows and a finite time")

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_flag, as_integer, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image
 from imgu_ros.vision.keypoints.dog import SIFT_SIGMA_PX, detect_dog
@@ -70,6 +71,9 @@ def detect(
     >>> len(keypoints), int(keypoints.octave.max())
     (100, 2)
     """
+    even_scales = as_flag(even_scales, "even_scales")
+    require_type(pyramid, Pyramid, "pyramid")
+    max_count = as_integer(max_count, "max_count")
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")
     if pyramid.levels[0].image.dtype != np.uint8:

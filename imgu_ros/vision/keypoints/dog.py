@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.dog_centres import refined_centres
@@ -57,6 +58,7 @@ def detect_dog(image: Image, max_count: int) -> Corners:
     isolated ones about one in twelve is missed.
     OpenCV doubles the picture first: peak memory on 1920x1080: 465 to 575 MB.
     """
+    max_count = as_integer(max_count, "max_count")
     image = as_image(image, dtypes=(np.uint8,))
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")

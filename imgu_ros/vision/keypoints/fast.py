@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
@@ -66,6 +67,9 @@ def detect_fast(image: Image, max_count: int, arc: int = 9, threshold: int = THR
     >>> corners.xy.tolist(), corners.response.tolist()
     ([[20.0, 20.0]], [149.0])
     """
+    max_count = as_integer(max_count, "max_count")
+    arc = as_integer(arc, "arc")
+    threshold = as_integer(threshold, "threshold")
     image = as_image(image, dtypes=(np.uint8,))
     if arc not in ARCS:
         raise ShapeError(f"arc: {arc}; need 9, 10, 11 or 12")

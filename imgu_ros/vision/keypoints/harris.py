@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
@@ -54,6 +55,7 @@ def detect_harris(image: Image, max_count: int) -> Corners:
     >>> detect_harris(image, 10).xy.round(1).tolist()
     [[29.5, 29.5]]
     """
+    max_count = as_integer(max_count, "max_count")
     image = as_image(image, dtypes=(np.uint8,))
     peaks = find_peaks(harris_response(image), _QUALITY, _BORDER_PX)
     kept = spread(peaks.xy, peaks.height, (image.shape[1], image.shape[0]), max_count)
@@ -85,6 +87,8 @@ def harris_response(image: Image, window_sigma: float = WINDOW_SIGMA_PX, k: floa
     -----
     Notes 4.2.1; Harris & Stephens, "A combined corner and edge detector", 1988, equation 8 ff.
     """
+    window_sigma = as_number(window_sigma, "window_sigma")
+    k = as_number(k, "k")
     image = as_image(image, dtypes=(np.uint8, np.float32))
     if not 0 < window_sigma <= _LARGEST_SIGMA_PX or not 0 <= k < 0.25:
         raise ShapeError(

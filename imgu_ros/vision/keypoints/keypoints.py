@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices, Mask, Points
 from imgu_ros.vision.scale_space.pyramid import Level
@@ -77,6 +78,8 @@ class Keypoints:
 
 def on_level(keypoints: Keypoints, level: Level) -> Corners:
     """Return the keypoints in the coordinates of a pyramid level."""
+    require_type(keypoints, Keypoints, "keypoints")
+    require_type(level, Level, "level")
     return Corners(level.from_full(keypoints.xy), keypoints.scale / level.scale, keypoints.angle, keypoints.response)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
@@ -58,6 +59,7 @@ def detect_moravec(image: Image, max_count: int) -> Corners:
     >>> len(corners.xy), bool((abs(corners.xy - [20, 30]) < 2).all())
     (1, True)
     """
+    max_count = as_integer(max_count, "max_count")
     image = as_image(image, dtypes=(np.uint8,))
     peaks = find_peaks(moravec_response(image), _QUALITY, _BORDER_PX)
     kept = spread(peaks.xy, peaks.height, (image.shape[1], image.shape[0]), max_count)
@@ -90,6 +92,7 @@ def moravec_response(image: Image, window: int = WINDOW_PX) -> Image:
     the real world by a seeing robot rover", 1980, chapter 5. Four squared differences and four box filters serve the
     eight shifts; the cost does not depend on the window.
     """
+    window = as_integer(window, "window")
     image = as_image(image, dtypes=(np.uint8, np.float32))
     if not 1 <= window <= _LARGEST_WINDOW_PX or window % 2 != 1:
         raise ShapeError(f"window: {window}; need an odd number, 1 to {_LARGEST_WINDOW_PX}")

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices, Mask, Points, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
@@ -63,6 +64,7 @@ def detect_mser(image: Image, max_count: int) -> Corners:
     -----
     Peak memory on 1920x1080, a photograph: 180 MB.
     """
+    max_count = as_integer(max_count, "max_count")
     image = as_image(image, dtypes=(np.uint8,))
     regions = find_regions(image)
     kept = spread(regions.xy, regions.stability, (image.shape[1], image.shape[0]), max_count)
@@ -112,6 +114,10 @@ def find_regions(
     >>> regions.xy.round(1).tolist(), (abs(regions.area / np.count_nonzero(image == 180) - 1) < 0.05).tolist()
     ([[50.0, 40.0]], [True])
     """
+    delta = as_integer(delta, "delta")
+    min_area = as_integer(min_area, "min_area")
+    max_share = as_number(max_share, "max_share")
+    max_variation = as_number(max_variation, "max_variation")
     image = as_image(image, dtypes=(np.uint8,))
     if not 1 <= delta <= 60 or min_area < 1 or not 0 < max_share <= 1 or not max_variation > 0:
         raise ShapeError(

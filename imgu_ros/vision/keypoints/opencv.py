@@ -9,9 +9,10 @@ from operator import attrgetter
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_flag, as_number, as_sequence, shown
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Points, as_matrix, as_points
-from imgu_ros.vision.keypoints.keypoints import Corners
+from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints
 
 _LARGEST_PX = 1e6
 _LARGEST_NUMBER = 1e30
@@ -31,8 +32,11 @@ def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, wi
     ShapeError
         If `sigma_per_size` is not a positive number.
     """
+    sigma_per_size = as_number(sigma_per_size, "sigma_per_size")
     if not 0 < sigma_per_size < _LARGEST_PX:
         raise ShapeError(f"sigma_per_size: {sigma_per_size}; need above 0, below {_LARGEST_PX:g}")
+    with_angle = as_flag(with_angle, "with_angle")
+    found = _checked(found)
     count = len(found)
     size, angle, response = (
         np.fromiter(map(attrgetter(name), found), np.float64, count) for name in ("size", "angle", "response")
@@ -48,11 +52,14 @@ def corners_from_opencv(found: Sequence[cv2.KeyPoint], sigma_per_size: float, wi
 
 def positions(found: Sequence[cv2.KeyPoint]) -> Points:
     """Return the positions of cv2's keypoints `found`, (N, 2) px."""
+    found = _checked(found)
     return np.array(cv2.KeyPoint.convert(found), np.float64).reshape(-1, 2) if len(found) else np.zeros((0, 2))
 
 
 def require_describable(corners: Corners) -> None:
     """Raise ShapeError when one of the `corners` cannot be handed to OpenCV: absurd ones make it write astray."""
+    if not isinstance(corners, Corners | Keypoints):
+        raise ShapeError(f"corners: {shown(corners)}; need Corners (corners_from_opencv makes them of cv2.KeyPoint)")
     xy = as_points(corners.xy, "corners.xy")
     scale, _, _ = (as_matrix(getattr(corners, n), (len(xy),), f"corners.{n}") for n in ("scale", "angle", "response"))
     if len(xy) and not np.abs(xy).max() < _LARGEST_PX:
@@ -93,3 +100,11 @@ def opencv_keypoints(xy: Points, size: Floats, angle: Floats, response: Floats) 
     # OpenCV's constructor takes 0.3 us of plain numbers, and five times as long of numpy's.
     columns = (xy[:, 0], xy[:, 1], size, np.degrees(angle) % 360, response)
     return list(map(cv2.KeyPoint, *(column.tolist() for column in columns), [0] * count, range(count)))
+
+
+def _checked(found: Sequence[cv2.KeyPoint]) -> Sequence[cv2.KeyPoint]:
+    found = as_sequence(found, "found")
+    others = set(map(type, found)) - {cv2.KeyPoint}
+    if others:
+        raise ShapeError(f"found: {', '.join(sorted(kind.__name__ for kind in others))}; need cv2.KeyPoint objects")
+    return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
@@ -51,6 +52,7 @@ def detect_orb(image: Image, max_count: int) -> Corners:
     >>> len(corners.xy), bool((corners.response[:-1] >= corners.response[1:]).all())
     (50, True)
     """
+    max_count = as_integer(max_count, "max_count")
     image = as_image(image, dtypes=(np.uint8,))
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")

@@ -7,6 +7,7 @@ import math
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image, as_matrix, as_points
 
@@ -15,6 +16,7 @@ RADIUS_PX = 15
 #: Sigma of a structure for which that disc is right: six sigma.
 _SIGMA_PX = RADIUS_PX / 6
 _RADII_PER_OCTAVE = 4
+_LARGEST_RADIUS_PX = 1000
 
 #: Patches gathered at once: bounds the memory.
 _CHUNK = 4096
@@ -27,12 +29,15 @@ def centroid_orientation(image: Image, xy: Points, radius: int = RADIUS_PX) -> F
     ----------
     image : (H, W) uint8, uint16 or float32; reflected beyond its border
     xy : (N, 2) px, rounded to the nearest pixel
-    radius : of the disc, px
+    radius : of the disc, 1 to 1000 px
 
     Returns
     -------
     (N,) rad in [-pi, pi), from x towards y; 0 for a patch without contrast.
     """
+    radius = as_integer(radius, "radius")
+    if not 1 <= radius <= _LARGEST_RADIUS_PX:
+        raise ShapeError(f"radius: {radius}; need 1 to {_LARGEST_RADIUS_PX} px")
     image = as_image(image)
     xy = as_points(xy, "xy")
     if not len(xy):

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image
 
@@ -60,6 +61,8 @@ def find_peaks(response: Image, quality: float, border: int) -> Peaks:
     >>> peaks.xy.round(3).tolist()
     [[4.25, 3.5]]
     """
+    quality = as_number(quality, "quality")
+    border = as_integer(border, "border")
     response = as_image(response, "response", dtypes=(np.float32,))
     if not 0 <= quality <= 1 or border < 1:
         raise ShapeError(f"quality, border: {quality}, {border}; need 0 to 1, and at least 1")

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from imgu_ros.arguments import as_integer, as_number, as_sequence
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices, Points, as_matrix, as_points
 
@@ -34,18 +35,21 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int, stro
         If the arrays do not fit each other or hold NaN or infinity, count or size is not positive, or the share
         out of its range.
     """
+    count = as_integer(count, "count")
+    strongest_share = as_number(strongest_share, "strongest_share")
     xy = as_points(xy, "xy")
     if not 0 <= strongest_share <= 1:
         raise ShapeError(f"strongest_share: {strongest_share}; need 0 to 1")
     response = as_matrix(response, (len(xy),), "response")
-    if count < 1 or min(size) < 1:
-        raise ShapeError(f"count, size: {count}, {size}; need positive numbers")
+    sides = [as_integer(side, "size") for side in as_sequence(size, "size")]
+    if len(sides) != 2 or count < 1 or min(sides) < 1:
+        raise ShapeError(f"count, size: {count}, {size}; need a positive number, and (width, height)")
     strongest_first = np.lexsort((xy[:, 0], xy[:, 1], -response))
     if len(xy) > count:
-        side = math.sqrt(size[0] * size[1] / max(1, count // 2))
-        columns = max(1, math.ceil(size[0] / side))
+        side = math.sqrt(sides[0] * sides[1] / max(1, count // 2))
+        columns = max(1, math.ceil(sides[0] / side))
         # A point outside the picture counts to the nearest cell.
-        row, column = (np.clip(xy[:, i], 0, size[i] - 1) // side for i in (1, 0))
+        row, column = (np.clip(xy[:, i], 0, sides[i] - 1) // side for i in (1, 0))
         cell = (row * columns + column).astype(np.intp)
         cell = cell[strongest_first]
         by_cell = np.argsort(cell, kind="stable")

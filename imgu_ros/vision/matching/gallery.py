@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Points, as_matrix
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
@@ -52,6 +53,7 @@ def prepare_gallery(
     ShapeError
         If rows, data type or metric do not fit each other, a row is not finite, or the places are not (M, 2).
     """
+    same_place_px = as_number(same_place_px, "same_place_px")
     descriptors = checked_rows(descriptors, "dst")
     metric = metric_of_rows(descriptors, metric)
     places = None

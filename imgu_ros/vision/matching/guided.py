@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_flag, as_integer, as_number
 from imgu_ros.errors import NoConsensus, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.nonlinear import Minimiser
@@ -68,6 +69,10 @@ def match_guided(
     >>> found.index_dst.tolist()
     [0, 1]
     """
+    mutual = as_flag(mutual, "mutual")
+    radius_px = as_number(radius_px, "radius_px")
+    ratio = as_number(ratio, "ratio")
+    same_place_px = as_number(same_place_px, "same_place_px")
     near = _Near(prepare_gallery(dst, metric), _places(dst_xy, dst, "dst_xy"), radius_px, same_place_px, ratio, mutual)
     return _guided(checked_rows(src, "src"), near, _places(src_xy, src, "src_xy"), normalised_homography(H_dst_src))
 
@@ -130,6 +135,10 @@ def guided_homography(
     >>> ((H / H[2, 2]).round(6) + 0.0).tolist()[0]
     [1.0, 0.0, 7.0]
     """
+    threshold_px = as_number(threshold_px, "threshold_px")
+    ratio = as_number(ratio, "ratio")
+    min_inliers = as_integer(min_inliers, "min_inliers")
+    max_rounds = as_integer(max_rounds, "max_rounds")
     gallery = prepare_gallery(dst, metric)
     checked_rows(src, "src")
     src_xy, dst_xy = _places(src_xy, src, "src_xy"), _places(dst_xy, dst, "dst_xy")

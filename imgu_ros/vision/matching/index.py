@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer, as_sequence
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices
 from imgu_ros.vision.matching.metrics import checked_rows, comparable_rows
@@ -120,10 +121,12 @@ def build_index(pictures: Sequence[Image], seed: int = _SEED) -> DescriptorIndex
     >>> build_index(pictures).votes(pictures[1][:20]).tolist()
     [0, 20, 0]
     """
+    seed = as_integer(seed, "seed")
+    pictures = as_sequence(pictures, "pictures")
     if not len(pictures):
         raise ShapeError("pictures: none; need at least one")
-    if not isinstance(seed, int) or seed < 0:
-        raise ShapeError(f"seed: {seed!r}; need an integer >= 0")
+    if seed < 0:
+        raise ShapeError(f"seed: {seed}; need an integer >= 0")
     pictures = [checked_rows(rows, f"pictures[{number}]") for number, rows in enumerate(pictures)]
     for rows in pictures:
         comparable_rows(rows, pictures[0].shape[1], pictures[0].dtype.type)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from imgu_ros.arguments import as_integer, shown
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices, as_plain
 from imgu_ros.vision.descriptors.describe import DescriptorKind
@@ -107,7 +108,10 @@ def comparable_rows(src: Image, columns: int, dtype: type) -> Image:
     ShapeError
         If `checked_rows` refuses them, or they have another length or data type.
     """
+    columns = as_integer(columns, "columns")
     src = checked_rows(src, "src")
+    if not (isinstance(dtype, type) and dtype in (np.uint8, np.float32)):
+        raise ShapeError(f"dtype: {shown(dtype)}; need np.uint8 or np.float32")
     if src.shape[1] != columns or src.dtype != dtype:
         raise ShapeError(f"src: {src.shape[1]} x {src.dtype}; need {columns} x {np.dtype(dtype)}, as dst")
     return src
@@ -125,6 +129,8 @@ def require_index(index: Indices, length: int, count: int) -> None:
     ShapeError
         If it is no (length,) array of integers, or one is out of range.
     """
+    length = as_integer(length, "length")
+    count = as_integer(count, "count")
     if not isinstance(index, np.ndarray) or index.dtype.kind not in "iu" or index.shape != (length,):
         raise ShapeError(f"index: {getattr(index, 'shape', type(index).__name__)}; need ({length},) integers")
     if len(index) and not 0 <= index.min() <= index.max() < count:

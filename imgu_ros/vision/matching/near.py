@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Indices, Points, as_points
 
@@ -48,6 +49,8 @@ def near_pairs(a_xy: ArrayLike, b_xy: ArrayLike, radius_px: float, most: int | N
     >>> pairs.a.tolist(), pairs.b.tolist()
     ([0, 1], [0, 1])
     """
+    radius_px = as_number(radius_px, "radius_px")
+    most = None if most is None else as_integer(most, "most")
     a_xy, b_xy = _checked(a_xy, "a_xy"), _checked(b_xy, "b_xy")
     if not 0 <= radius_px < np.inf:
         raise ShapeError(f"radius_px: {radius_px!r}; need a number >= 0")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_flag, as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices, Mask, Points
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
@@ -55,6 +56,9 @@ def match(
     >>> found.index_src.tolist(), found.index_dst.tolist(), found.distance.tolist()
     ([0, 2], [1, 0], [1.0, 1.0])
     """
+    mutual = as_flag(mutual, "mutual")
+    ratio = as_number(ratio, "ratio")
+    same_place_px = as_number(same_place_px, "same_place_px")
     src = checked_rows(src, "src")
     return match_to_gallery(src, prepare_gallery(dst, metric, dst_xy, same_place_px), ratio, mutual)
 
@@ -81,6 +85,9 @@ def match_to_gallery(src: Image, gallery: Gallery, ratio: float = 0.85, mutual: 
     >>> match_to_gallery(target[40:43], gallery).index_dst.tolist()
     [40, 41, 42]
     """
+    mutual = as_flag(mutual, "mutual")
+    require_type(gallery, Gallery, "gallery")
+    ratio = as_number(ratio, "ratio")
     src = comparable_rows(src, gallery.descriptors.shape[1], gallery.descriptors.dtype.type)
     if not ratio > 0:
         raise ShapeError(f"ratio: {ratio!r}; need a number > 0")

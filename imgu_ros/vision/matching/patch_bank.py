@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices, Points, as_points
 from imgu_ros.vision.matching.alignment import FLAT, LONGEST_PX, Patches, PreparedPatches, as_grey
@@ -49,6 +50,7 @@ class PatchBank:
     """
 
     def __init__(self, image: Image, centres: ArrayLike, window_px: int) -> None:
+        window_px = as_integer(window_px, "window_px")
         if not 5 <= window_px <= _WIDEST_WINDOW_PX or window_px % 2 != 1:
             raise ShapeError(f"window_px: {window_px!r}; need an odd number, 5 to {_WIDEST_WINDOW_PX}")
         self._image = as_grey(image, "image")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.types import Indices, Points, as_points
 from imgu_ros.vision.matching.metrics import require_index
 from imgu_ros.vision.matching.near import near_pairs
@@ -77,6 +78,7 @@ def find_places(xy: Points, radius_px: float) -> Places:
     >>> places.at(np.array([2])).point.tolist()
     [0, 2]
     """
+    radius_px = as_number(radius_px, "radius_px")
     xy = as_points(xy, "xy")
     pairs = near_pairs(xy, xy, radius_px, _MOST_PAIRS)
     if pairs is None:

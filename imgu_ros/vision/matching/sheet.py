@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import IMAGE_DTYPES, Image, as_image, as_points
 
@@ -43,6 +44,7 @@ class Sheet:
     """
 
     def __init__(self, origins: ArrayLike, side: int) -> None:
+        side = as_integer(side, "side")
         corners = as_points(origins, "origins", 1)
         lowest, highest = float(corners.min()), float(corners.max())
         if side < 4 or lowest < 0 or highest > _FARTHEST or (corners != np.rint(corners)).any():

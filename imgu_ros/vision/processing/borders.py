@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices, as_image
 
@@ -66,6 +67,9 @@ def padded(
     >>> [padded(row, 2, 0, border).tolist()[0] for border in ("periodic", "reflected", "mirrored", "replicated")]
     [[2, 3, 1, 2, 3, 1, 2], [3, 2, 1, 2, 3, 2, 1], [2, 1, 1, 2, 3, 3, 2], [1, 1, 1, 2, 3, 3, 3]]
     """
+    margin_x = as_integer(margin_x, "margin_x")
+    margin_y = as_integer(margin_y, "margin_y")
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     for name, margin in (("margin_x", margin_x), ("margin_y", margin_y)):
         if not 0 <= margin <= _MOST_PX:
@@ -84,6 +88,8 @@ def border_values(dtype: np.dtype[Any], border: Border, value: float) -> tuple[f
     ShapeError
         If the border is constant and its value is not one that a pixel of this data type can have.
     """
+    require_type(dtype, np.dtype, "dtype")
+    value = as_number(value, "value")
     if border is not Border.CONSTANT:
         return (0.0, 0.0, 0.0, 0.0)
     top = float(np.iinfo(dtype).max) if dtype.kind == "u" else float(np.finfo(np.float32).max)
@@ -116,6 +122,7 @@ def source_index(index: ArrayLike, size: int, border: Border | str) -> Indices:
     >>> source_index([-2, -1, 0, 3, 4], 4, "mirrored").tolist()
     [1, 0, 0, 3, 3]
     """
+    size = as_integer(size, "size")
     try:
         positions = np.asarray(index)
     except ValueError:

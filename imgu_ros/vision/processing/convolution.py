@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, as_image
 from imgu_ros.vision.processing.borders import CV_BORDERS, Border, border_values, padded
@@ -99,6 +100,7 @@ def convolve_separable(
     >>> convolve_separable(image, [1.0], [0.25, 0.5, 0.25]).tolist()
     [[0.0, 1.0, 2.0, 1.0, 0.0]]
     """
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     vertical, horizontal = (
         _odd(as_kernel(np.atleast_2d(_vector(k, name)))) for k, name in ((column, "column"), (row, "row"))
@@ -134,6 +136,7 @@ def mean_filtered(image: Image, size: int, border: Border | str = Border.REFLECT
     >>> mean_filtered(np.array([[0, 9, 0, 0]], np.uint8), 3, "replicated").tolist()
     [[3, 3, 3, 0]]
     """
+    size = as_integer(size, "size")
     image = as_image(image, channels=(1, 3))
     if isinstance(size, bool) or not isinstance(size, int | np.integer) or not 1 <= size <= _MOST_PX or size % 2 == 0:
         raise ShapeError(f"size: {size!r}; need an odd integer, 1 to {_MOST_PX} px")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image, as_image
 from imgu_ros.vision.processing.borders import Border
@@ -81,6 +82,7 @@ def gradient(
     >>> slope.dx[2].tolist(), slope.dy[2].tolist()
     ([0.0, 3.0, 3.0, 3.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0])
     """
+    sigma = as_number(sigma, "sigma")
     image = as_image(image)
     require_range(image, 4.0)
     operator = Derivative(operator)

@@ -7,6 +7,7 @@ import math
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Mask, as_image, require_unit_range
 from imgu_ros.vision.processing.borders import Border
@@ -86,6 +87,7 @@ def edge_map(image: Image, threshold: float, operator: Derivative | str = Deriva
     >>> edge_map(step, 4)[1].tolist()
     [False, True, True, False]
     """
+    threshold = as_number(threshold, "threshold")
     if not 0 <= threshold < math.inf:
         raise ShapeError(f"threshold: {threshold!r}; need a finite number >= 0")
     # No strength is larger than this; a larger square would leave float32.
@@ -124,6 +126,9 @@ def canny(image: Image, low: float, high: float, sigma: float = 1.0) -> Mask:
     >>> [int(i) for i in np.flatnonzero(canny(step, 5, 10)[4])] in ([7], [8])
     True
     """
+    low = as_number(low, "low")
+    high = as_number(high, "high")
+    sigma = as_number(sigma, "sigma")
     image = as_image(image)
     if not 0 <= low <= high < math.inf:
         raise ShapeError(f"low, high: {low!r}, {high!r}; need 0 <= low <= high")

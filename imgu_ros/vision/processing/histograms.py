@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image, require_unit_range
 from imgu_ros.vision.processing.points import full_scale
@@ -45,6 +46,7 @@ def histogram(image: Image, bins: int = 256) -> NDArray[np.int64]:
     >>> histogram(np.array([[0, 63, 64, 255]], np.uint8), bins=4).tolist()
     [2, 1, 0, 1]
     """
+    bins = as_integer(bins, "bins")
     image = as_image(image)
     if isinstance(bins, bool) or not isinstance(bins, int | np.integer) or not 1 <= bins <= _MOST_BINS:
         raise ShapeError(f"bins: {bins!r}; need an integer, 1 to {_MOST_BINS}")
@@ -118,6 +120,8 @@ def equalised_locally(image: Image, clip: float = 2.0, tiles: int = 8) -> Image:
     >>> bool(np.ptp(equalised_locally(image, clip=4, tiles=2)) > np.ptp(image))
     True
     """
+    clip = as_number(clip, "clip")
+    tiles = as_integer(tiles, "tiles")
     image = as_image(image, dtypes=(np.uint8, np.uint16))
     if not 1 <= clip <= 1000:
         raise ShapeError(f"clip: {clip!r}; need 1 to 1000")

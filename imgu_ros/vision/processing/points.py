@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, as_image, as_matrix, require_unit_range
 
@@ -45,6 +46,8 @@ def adjust(image: Image, contrast: float = 1.0, brightness: float = 0.0) -> Imag
     >>> adjust(np.array([[0, 100, 255]], np.uint8), contrast=1.5, brightness=1).tolist()
     [[1, 151, 255]]
     """
+    contrast = as_number(contrast, "contrast")
+    brightness = as_number(brightness, "brightness")
     image = as_image(image, channels=(1, 3))
     require_unit_range(image)
     if not abs(contrast) <= _LARGEST_GAIN:
@@ -72,6 +75,7 @@ def gamma_corrected(image: Image, exponent: float) -> Image:
     >>> gamma_corrected(np.array([[0, 64, 255]], np.uint8), 0.5).tolist()
     [[0, 128, 255]]
     """
+    exponent = as_number(exponent, "exponent")
     image = as_image(image, channels=(1, 3))
     require_unit_range(image)
     if not 0.01 <= exponent <= 100:
@@ -116,6 +120,7 @@ def grey_from_rgb(image: Image, weights: ArrayLike = REC601) -> Image:
 
 def full_scale(dtype: np.dtype[Any]) -> float:
     """Return the value of white in pictures of type `dtype`: 255, 65535, or 1 for floats."""
+    require_type(dtype, np.dtype, "dtype")
     return float(np.iinfo(dtype).max) if dtype.kind == "u" else 1.0
 
 
@@ -127,6 +132,7 @@ def require_range(image: Image, gain: float) -> None:
     ShapeError
         If they would, or it is no image.
     """
+    gain = as_number(gain, "gain")
     if not isinstance(image, np.ndarray) or image.size == 0:
         raise ShapeError(f"image: {getattr(image, 'shape', type(image).__name__)}; need at least one pixel")
     if image.dtype.kind != "f":

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_floats, as_image
 from imgu_ros.vision.processing.borders import CV_BORDERS, Border, border_values
@@ -49,6 +50,7 @@ def remapped(
     >>> remapped(image, [[[2, 0], [1, 0]], [[0, 0], [5, 0]]], value=9).tolist()
     [[3, 2], [1, 9]]
     """
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     require_range(image, 4.0)
     # Large maps: no copy of what is fit for OpenCV.

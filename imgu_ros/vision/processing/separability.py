@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats
 
@@ -70,6 +71,7 @@ def split(kernel: ArrayLike, tolerance: float = _TOLERANCE) -> SplitKernel:
     >>> (parts.columns.T @ parts.rows).round(6).tolist()
     [[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]
     """
+    tolerance = as_number(tolerance, "tolerance")
     weights = as_kernel(kernel)
     if not 0 <= tolerance <= 1:
         raise ShapeError(f"tolerance: {tolerance!r}; need 0 to 1")
@@ -96,6 +98,7 @@ def is_separable(kernel: ArrayLike, tolerance: float = _TOLERANCE) -> bool:
     >>> is_separable([[1, 1], [1, 1]]), is_separable([[0, 1, 0], [1, -4, 1], [0, 1, 0]])
     (True, False)
     """
+    tolerance = as_number(tolerance, "tolerance")
     return split(kernel, tolerance).rank <= 1
 
 

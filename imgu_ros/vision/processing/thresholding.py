@@ -7,6 +7,7 @@ import math
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.processing.histograms import histogram
@@ -42,6 +43,7 @@ def thresholded(image: Image, value: float) -> Image:
     >>> thresholded(np.array([[99, 100, 101]], np.uint8), 100).tolist()
     [[0, 255, 255]]
     """
+    value = as_number(value, "value")
     image = as_image(image)
     if not math.isfinite(value):
         raise ShapeError(f"value: {value!r}; need a finite number")
@@ -86,6 +88,7 @@ def otsu_threshold(image: Image, bins: int | None = None) -> float:
     >>> otsu_threshold(np.array([[10, 12, 12, 200, 202]], np.uint8), bins=4)
     128.0
     """
+    bins = None if bins is None else as_integer(bins, "bins")
     image = as_image(image)
     values = _FLOAT_BINS if image.dtype.kind == "f" else int(full_scale(image.dtype)) + 1
     bins = values if bins is None else bins

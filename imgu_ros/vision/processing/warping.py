@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_flag, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Matrix3, Points, as_image, as_matrix
 from imgu_ros.vision.processing.borders import CV_BORDERS, Border, border_values
@@ -74,6 +75,7 @@ def warped(
     >>> warped(image, [[1, 0, 1], [0, 1, 0], [0, 0, 1]], value=9).tolist()
     [[9, 1, 2]]
     """
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     require_range(image, 4.0)
     out_size = (image.shape[1], image.shape[0]) if size is None else checked_size(size)
@@ -130,6 +132,9 @@ def rotated(
     >>> rotated(np.array([[1, 2, 3]], np.uint8), math.pi / 2, whole=True).tolist()
     [[1], [2], [3]]
     """
+    whole = as_flag(whole, "whole")
+    angle = as_number(angle, "angle")
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     size = (image.shape[1], image.shape[0])
     middle = (size[0] - 1) / 2, (size[1] - 1) / 2
@@ -163,6 +168,8 @@ def rotation_about(angle: float, centre: ArrayLike, scale: float = 1.0) -> Matri
     >>> (rotation_about(math.pi / 2, (1, 1)) @ [2, 1, 1]).round(9).tolist()
     [1.0, 2.0, 1.0]
     """
+    angle = as_number(angle, "angle")
+    scale = as_number(scale, "scale")
     if not abs(angle) <= _LARGEST_PX:
         raise ShapeError(f"angle: {angle!r}; need a finite number of rad")
     if not 1e-6 <= scale <= 1e6:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, as_matrix, as_rows
 from imgu_ros.vision.projective.points_and_lines import homogeneous, normalised_lines, normalised_points
@@ -30,6 +31,7 @@ def cross_ratio(points: ArrayLike, tolerance: float = 1e-6) -> float:
     >>> round(cross_ratio([[0, 0], [1, 1], [2, 2], [4, 4]]), 12)
     1.5
     """
+    tolerance = as_number(tolerance, "tolerance")
     rows = points if isinstance(points, np.ndarray) else np.asarray(points, dtype=object)
     if rows.shape not in ((4, 2), (4, 3)):
         raise ShapeError(f"points: shape {rows.shape}; need (4, 2) or (4, 3)")
@@ -57,6 +59,7 @@ def cross_ratio_of_lines(lines: ArrayLike, tolerance: float = 1e-6) -> float:
     >>> round(cross_ratio_of_lines([[1, 0, 0], [1, 0, -1], [1, 0, -2], [1, 0, -4]]), 12)
     1.5
     """
+    tolerance = as_number(tolerance, "tolerance")
     scaled = normalised_lines(as_matrix(as_rows(lines, 3, "lines"), (4, 3), "lines"))
     return _cross_ratio(_centred_lines(scaled), tolerance, "lines")
 

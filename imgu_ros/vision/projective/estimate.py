@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.estimation.covariance import propagated_covariance
@@ -67,6 +68,10 @@ def estimate_homography(
     DegenerateConfiguration
         If the inliers lie (nearly) on a line, or the homography is mirrored or singular.
     """
+    threshold_px = as_number(threshold_px, "threshold_px")
+    confidence = as_number(confidence, "confidence")
+    max_iterations = as_integer(max_iterations, "max_iterations")
+    min_inliers = as_integer(min_inliers, "min_inliers")
     src, dst = as_points(src, "src"), as_points(dst, "dst")
     if len(src) != len(dst):
         raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")
@@ -131,6 +136,7 @@ def fit_homography(
     >>> (estimate.H / estimate.H[2, 2]).round(6).tolist()[0]
     [1.0, 0.0, 10.0]
     """
+    noise_px = None if noise_px is None else as_number(noise_px, "noise_px")
     src, dst = as_points(src, "src"), as_points(dst, "dst")
     if len(src) != len(dst):
         raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")
@@ -148,7 +154,7 @@ def fit_homography(
             "H: the points are seen mirrored or across the horizon; need one side of the plane"
         )
     # No step at all still gives the residuals and their derivative, from which the covariance comes.
-    method = Minimiser(refine or Minimiser.GAUSS_NEWTON)
+    method = Minimiser(Minimiser.GAUSS_NEWTON if refine is None else refine)
     minimum = minimise(problem, scaled, method, max_iterations=_MOST_STEPS[method] if refined else 0)
     if not faces_camera(minimum.estimate, _mapped(T_src, src)):
         raise DegenerateConfiguration("H: the refined plane passes through the camera; need better spread points")

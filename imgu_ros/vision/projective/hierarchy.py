@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Matrix3, as_matrix
 from imgu_ros.vision.projective.transformations import require_regular
@@ -75,6 +76,8 @@ def classify(H: ArrayLike, tolerance: float = 1e-9, extent: float = 1.0) -> Tran
     >>> str(classify([[1, 0, 0], [0, 1, 0], [1e-7, 0, 1]], tolerance=1e-3, extent=1000))
     'identity'
     """
+    tolerance = as_number(tolerance, "tolerance")
+    extent = as_number(extent, "extent")
     H = as_matrix(H, (3, 3), "H")
     require_regular(H, 3, "H")
     for name, value in (("tolerance", tolerance), ("extent", extent)):

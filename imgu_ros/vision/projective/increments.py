@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_flag, shown
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
 
@@ -81,6 +82,7 @@ class PlaneMotion:
     """
 
     def __init__(self, points: ArrayLike, affine: bool = False) -> None:
+        affine = as_flag(affine, "affine")
         points = as_points(points, "points", 1)
         if not np.abs(points).max() < _LARGEST_PX:
             raise ShapeError(f"points: up to {np.abs(points).max():g}; need less than {_LARGEST_PX:g} px")
@@ -131,8 +133,8 @@ class PlaneMotion:
             raise ShapeError(f"usable: {getattr(usable, 'shape', type(usable).__name__)}; need ({count},) of bool")
         if count and not np.abs(displacements).max() < _LARGEST_PX:
             raise ShapeError(f"displacements: not finite, or too large; need less than {_LARGEST_PX:g} px")
-        if not _SMALLEST_PX <= floor_px <= _LARGEST_PX:
-            raise ShapeError(f"floor_px: {floor_px!r}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
+        if not (isinstance(floor_px, float | int) and _SMALLEST_PX <= floor_px <= _LARGEST_PX):
+            raise ShapeError(f"floor_px: {shown(floor_px)}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
             raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
@@ -142,6 +144,8 @@ class PlaneMotion:
         weights = usable.astype(np.float64)
         cauchy_rounds, rounds = _CAUCHY_ROUNDS, _CAUCHY_ROUNDS + _TUKEY_ROUNDS
         if before is not None:
+            if not isinstance(before, Motion):
+                raise ShapeError(f"before: {shown(before)}; need a Motion, or None")
             rounds = _TUKEY_ROUNDS
             cauchy_rounds = 1
             if len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:

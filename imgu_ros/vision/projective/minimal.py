@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_flag
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, as_points
 from imgu_ros.vision.projective.dlt import design_matrix, normalisation
@@ -46,6 +47,7 @@ class HomographyModel:
     sample_size = 4
 
     def __init__(self, src: ArrayLike, dst: ArrayLike, symmetric: bool = False) -> None:
+        symmetric = as_flag(symmetric, "symmetric")
         src, dst = as_points(src, "src"), as_points(dst, "dst")
         if len(src) != len(dst):
             raise ShapeError(f"dst: {len(dst)} points; need {len(src)}, one for each of src")

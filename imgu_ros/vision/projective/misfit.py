@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from imgu_ros.arguments import shown
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask, Points, as_floats, as_points
 
@@ -51,6 +52,8 @@ def smooth_misfit(
     >>> smooth_misfit(points, noise, used, 1.0, fitted=0) < 2, smooth_misfit(points, bent, used, 1.0, fitted=0) > 4
     (True, True)
     """
+    if not isinstance(variance, float | int) or not isinstance(fitted, int):
+        raise ShapeError(f"variance, fitted: {shown(variance)}, {shown(fitted)}; need a number and an integer")
     points, residuals = as_points(points, "points"), as_points(residuals, "residuals")
     try:
         used = np.asarray(used)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Matrix3, as_matrix
 from imgu_ros.vision.projective.transform import normalised_homography
@@ -193,6 +194,7 @@ def require_regular(matrix: ArrayLike, size: int, name: str) -> None:
     DegenerateConfiguration
         If it is singular.
     """
+    size = as_integer(size, "size")
     values = as_matrix(matrix, (size, size), name)
     # A translation by 1e6 px is regular: what counts is the rank after rows and columns are brought to one size.
     balanced = np.abs(values)

@@ -9,6 +9,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image, as_image
 from imgu_ros.vision.processing.borders import CV_BORDERS, Border, border_values, padded
@@ -66,6 +67,8 @@ def smooth(
     >>> [smooth(image, 1.0, kernel).tolist()[0] for kernel in ("sampled", "discrete", "recursive")]
     [[11, 25, 40, 25, 11], [10, 22, 47, 22, 10], [11, 25, 40, 25, 11]]
     """
+    sigma = as_number(sigma, "sigma")
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     if not 0 <= sigma <= _MAX_SIGMA_PX:
         raise ShapeError(f"sigma: {sigma!r}; need 0 to {_MAX_SIGMA_PX} px")

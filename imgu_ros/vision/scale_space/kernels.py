@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats
 
@@ -39,6 +40,8 @@ def sampled_gaussian(sigma: float, reach: int | None = None) -> Floats:
     >>> sampled_gaussian(1.0, 2).round(4).tolist()
     [0.0545, 0.2442, 0.4026, 0.2442, 0.0545]
     """
+    sigma = as_number(sigma, "sigma")
+    reach = None if reach is None else as_integer(reach, "reach")
     _check(sigma, reach)
     reach = math.ceil(4 * sigma) if reach is None else int(reach)
     if sigma < 1e-3:
@@ -77,6 +80,8 @@ def discrete_gaussian(sigma: float, reach: int | None = None) -> Floats:
     >>> discrete_gaussian(1.0, 2).round(4).tolist()
     [0.0499, 0.2079, 0.4658, 0.2079, 0.0499]
     """
+    sigma = as_number(sigma, "sigma")
+    reach = None if reach is None else as_integer(reach, "reach")
     _check(sigma, reach)
     # Chernoff's bound of a difference of two Poisson variables: far out the tail falls faster than exponentially.
     reach = math.ceil(9 * sigma + 20) if reach is None else int(reach)
@@ -107,6 +112,8 @@ def discrete_reach(sigma: float, missing: float) -> int:
     >>> discrete_reach(1.0, 1e-3)
     4
     """
+    sigma = as_number(sigma, "sigma")
+    missing = as_number(missing, "missing")
     if not 1e-12 <= missing <= 1:
         raise ShapeError(f"missing: {missing!r}; need 1e-12 to 1")
     weights = discrete_gaussian(sigma)

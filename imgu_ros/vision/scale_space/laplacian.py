@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import as_integer, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.processing.points import require_range
@@ -64,6 +65,7 @@ def laplacian_pyramid(
     >>> bool((reconstructed(parts) == image).all())
     True
     """
+    levels = as_integer(levels, "levels")
     image = as_image(image, channels=(1, 3))
     if not isinstance(levels, int | np.integer) or not 0 <= levels <= _MOST_LEVELS:
         raise ShapeError(f"levels: {levels!r}; need an integer, 0 to {_MOST_LEVELS}")
@@ -101,6 +103,7 @@ def reconstructed(pyramid: LaplacianPyramid) -> Image:
     -----
     Source: notes 3.2.3; Burt & Adelson 1983.
     """
+    require_type(pyramid, LaplacianPyramid, "pyramid")
     picture = as_image(pyramid.base, "base", channels=(1, 3))
     dtype = picture.dtype
     signed = np.dtype(_SIGNED[dtype.name])

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import as_integer, as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image, Points, as_floats, as_image, as_points
 from imgu_ros.vision.processing.interpolation import Interpolation, resized
@@ -100,6 +101,10 @@ def build_pyramid(
         If `image` is not such an image, or larger than `full_size`, `kind` or `kernel` is unknown, or a count is not
         positive.
     """
+    levels = as_integer(levels, "levels")
+    scales_per_octave = as_integer(scales_per_octave, "scales_per_octave")
+    max_side_px = None if max_side_px is None else as_integer(max_side_px, "max_side_px")
+    min_side_px = as_integer(min_side_px, "min_side_px")
     image = as_image(image)
     if levels < 1 or scales_per_octave < 1:
         raise ShapeError(f"levels, scales_per_octave: {levels}, {scales_per_octave}; need at least 1")
@@ -133,6 +138,7 @@ def band_passed(pyramid: Pyramid) -> Pyramid:
     >>> [int(level.image.min()) for level in band_passed(flat).levels]
     [128, 128]
     """
+    require_type(pyramid, Pyramid, "pyramid")
     return Pyramid(tuple(Level(_band(as_image(level.image)), level.step) for level in pyramid.levels))
 
 
@@ -178,6 +184,7 @@ def reduced(image: Image, factor: float = 2.0, kernel: GaussianKernel | str = Ga
     >>> reduced(np.full((6, 9), 50, np.uint8)).tolist()
     [[50, 50, 50, 50], [50, 50, 50, 50], [50, 50, 50, 50]]
     """
+    factor = as_number(factor, "factor")
     image = as_image(image, channels=(1, 3))
     require_range(image, 4.0)
     if not 1 < factor <= 2:
@@ -220,7 +227,7 @@ def _full_size(image: Image, full_size: ArrayLike | None) -> Floats:
     full = as_floats(full_size, "full_size")
     if full.shape != (2,) or not (full >= size).all():
         raise ShapeError(
-            f"full_size: {full_size!r}; need width and height, at least {image.shape[1]}, {image.shape[0]}"
+            f"full_size: {full.tolist()}; need width and height, at least {image.shape[1]}, {image.shape[0]}"
         )
     return full
 

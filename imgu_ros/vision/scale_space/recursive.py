@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices, as_image
 from imgu_ros.vision.processing.borders import Border, source_index
@@ -76,6 +77,8 @@ def smooth_recursively(
     >>> round(float(response.sum()), 4), round(float((response * (np.arange(201) - 100.0) ** 2).sum()), 1)
     (1.0, 100.0)
     """
+    sigma = as_number(sigma, "sigma")
+    value = as_number(value, "value")
     image = as_image(image, channels=(1, 3))
     if not SIGMA_RANGE_PX[0] <= sigma <= SIGMA_RANGE_PX[1]:
         raise ShapeError(f"sigma: {sigma!r}; need {SIGMA_RANGE_PX[0]:g} to {SIGMA_RANGE_PX[1]:g} px")

@@ -94,3 +94,6 @@ CALLS = {
         "reference": rng.uniform(0.1, 1, 6),
     },
 }
+
+#: In focus at infinity.
+INFINITE = {depth_of_field}

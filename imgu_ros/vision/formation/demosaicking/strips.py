@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from imgu_ros.arguments import require_type
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern, as_mosaic
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads
@@ -62,6 +63,7 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
     ShapeError
         If `raw` is not such an image or the pattern is unknown.
     """
+    require_type(recipe, Recipe, "recipe")
     raw, pattern = as_mosaic(raw), BayerPattern(pattern)
     height, width = raw.shape
     rim = 2 * recipe.reach
