@@ -37,7 +37,7 @@ from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
 from imgu_ros.vision.camera.calibration import CalibratedView, Calibration, calibrate
 from imgu_ros.vision.camera.calibration_evidence import CalibrationEvidence, weigh_calibration
 from imgu_ros.vision.camera.calibration_test import CalibrationTest
-from imgu_ros.vision.camera.camera_covariance import as_covariance, factor_of, with_covariance
+from imgu_ros.vision.camera.camera_covariance import as_covariance, covariance_factor, factor_of, with_covariance
 from imgu_ros.vision.camera.camera_derivatives import ideal_by_camera, raw_by_camera
 from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projection
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
@@ -111,6 +111,7 @@ __all__ = [
     "camera_centre",
     "camera_to_world",
     "choose_views",
+    "covariance_factor",
     "decompose_projection",
     "depths",
     "design_matrix",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.arguments import as_sequence, require_type
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, as_matrix
 from imgu_ros.vision.camera.calibration_test import FREEDOM, CalibrationTest
@@ -86,6 +87,10 @@ def weigh_calibration(tests: Sequence[CalibrationTest], camera: Camera) -> Calib
     DegenerateConfiguration
         If a residual's covariance is singular.
     """
+    require_type(camera, Camera, "camera")
+    tests = as_sequence(tests, "tests")
+    for index, test in enumerate(tests):
+        require_type(test, CalibrationTest, f"tests[{index}]")
     if not tests:
         raise TooFewPoints("tests: none; need at least one")
     count = 4 + len(camera.distortion)

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, as_floats, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -38,6 +39,7 @@ def with_covariance(camera: Camera, covariance: ArrayLike | None) -> Camera:
     >>> with_covariance(camera, np.diag([4.0, 4, 1, 1])).covariance.shape
     (9, 9)
     """
+    require_type(camera, Camera, "camera")
     if covariance is None:
         return replace(camera, covariance=None)
     given = as_covariance(covariance)

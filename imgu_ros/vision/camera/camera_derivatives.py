@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Points, as_points, as_rows
 from imgu_ros.vision.camera.distortion import bend_with_derivatives
@@ -31,6 +32,7 @@ def raw_by_camera(camera: Camera, points: ArrayLike) -> Floats:
     >>> raw_by_camera(camera, [[0.2, -0.1, 1.0]])[0, :, :4].tolist()
     [[0.2, 0.0, 1.0, 0.0], [0.0, -0.1, 0.0, 1.0]]
     """
+    require_type(camera, Camera, "camera")
     points = as_rows(points, 3, "points")
     if len(points) and not points[:, 2].min() > 0:
         raise ShapeError(f"points: smallest z {points[:, 2].min():g}; need z > 0 (in front of the camera)")
@@ -64,6 +66,7 @@ def ideal_by_camera(camera: Camera, ideal: ArrayLike) -> Floats:
     >>> ideal_by_camera(camera, [[420.0, 240.0]])[0, :, :4].round(6).tolist()
     [[-0.2, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, -1.0]]
     """
+    require_type(camera, Camera, "camera")
     ideal = as_points(ideal, "ideal")
     K = camera.K
     with np.errstate(over="ignore", invalid="ignore"):
