@@ -26,7 +26,8 @@ def _public(room: ModuleType) -> dict[str, object]:
         module = importlib.import_module(item.name)
         for name, value in vars(module).items():
             own = getattr(value, "__module__", None) == module.__name__
-            if own and not name.startswith("_") and (inspect.isfunction(value) or inspect.isclass(value)):
+            named = inspect.isfunction(value) or inspect.isclass(value) or hasattr(value, "__wrapped__")
+            if own and named and not name.startswith("_"):
                 assert name not in found, f"{room.__name__}: two modules define {name}"
                 found[name] = value
     return found
