@@ -20,7 +20,7 @@ from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.projection import as_intrinsic_matrix
 
 #: Of the image, the share in which the lens model must have an inverse; a circular fisheye covers less.
-_INVERTIBLE, _INVERTIBLE_FISHEYE = 0.5, 0.1
+_INVERTIBLE, _INVERTIBLE_FISHEYE = 0.5, 0.05
 
 
 @dataclass(frozen=True, slots=True)

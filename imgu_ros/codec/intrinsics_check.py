@@ -16,7 +16,7 @@ from imgu_ros.vision.camera.distortion_model import DistortionModel
 WIDEST_DEG = 155.0
 NARROWEST_DEG = 0.5
 #: A circular fisheye's image may be much smaller than the sensor: focal length as a share of the longer side.
-SHORTEST_FISHEYE = 0.04
+SHORTEST_FISHEYE = 0.1
 #: Principal point as a share of the side: outside, no lens; outside the second, worth a word.
 POSSIBLE = (0.15, 0.85)
 USUAL = (0.35, 0.65)
@@ -24,6 +24,8 @@ USUAL = (0.35, 0.65)
 RESCALED = 0.1
 #: Off by more in one direction, while in the middle of the binned image or of the window: of which K is, is open.
 CLEARLY_OFF = 0.12
+#: A smaller share is a principal point that was not filled, not one of a smaller image.
+_NO_CENTRE = 0.02
 #: fx / fy, and skew / fx, worth a word.
 ASPECT = 2.0
 SKEW = 0.05
@@ -130,7 +132,11 @@ def _centre_problem(
     possible = all(POSSIBLE[0] <= share <= POSSIBLE[1] for share in (u, v))
     if possible and not rescaled:
         return ""
-    hint = f", as of an image of about {2 * matrix[0, 2]:.0f} x {2 * matrix[1, 2]:.0f} px" if rescaled and u > 0 else ""
+    hint = (
+        f", as of an image of about {2 * matrix[0, 2]:.0f} x {2 * matrix[1, 2]:.0f} px"
+        if rescaled and min(u, v) > _NO_CENTRE
+        else ""
+    )
     return f"{seen}{hint}; need it near the middle, ({(size[0] - 1) / 2:g}, {(size[1] - 1) / 2:g})"
 
 

@@ -18,12 +18,7 @@ class Remarks:
     def news(self, lines: Iterable[str]) -> Iterator[str]:
         """Yield the lines of a kind that was not there before, of the first fifty kinds."""
         for line in lines:
-            kind = kind_of(line)
+            kind = _NUMBER.sub("0", line)
             if line and kind not in self._kinds and len(self._kinds) < _MOST:
                 self._kinds.add(kind)
                 yield line
-
-
-def kind_of(line: str) -> str:
-    """Return a remark without its numbers."""
-    return _NUMBER.sub("0", line)

@@ -8,8 +8,6 @@ from enum import StrEnum
 
 #: A cause that was gone for so long is news when it comes back.
 _FORGOTTEN_S = 60.0
-#: Kinds and cases that are told apart.
-_MOST = 100
 
 
 class Kind(StrEnum):
@@ -37,11 +35,11 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Why nothing comes out: what it is, one line of words with what to do, and which case of its kind it is."""
+    """Why nothing comes out: what it is, one line of words with what to do, and whether it is logged elsewhere."""
 
     kind: Kind
     text: str
-    case: str = ""
+    is_logged: bool = False
 
 
 #: What every node does for a while, or was asked to do; and what is logged where it happens.
@@ -49,24 +47,21 @@ _NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED, Kind.FRAMES))
 
 
 class CauseLog:
-    """Tells which causes are new, so that the log has each kind, and each case of it, once.
+    """Tells which causes are new, so that the log has each of them once.
 
     A cause is told again when it comes back after a minute without it.
     """
 
     def __init__(self) -> None:
-        self._seen_s: dict[tuple[Kind, str], float] = {}
+        self._seen_s: dict[Kind, float] = {}
 
     def news(self, causes: Iterable[Cause], now_s: float) -> Iterator[Cause]:
         """Yield the causes that the log has not heard of; `now_s` is monotonic."""
         for cause in causes:
-            if cause.kind in _NOT_LOGGED:
+            if cause.kind in _NOT_LOGGED or cause.is_logged:
                 continue
-            key = (cause.kind, cause.case)
-            if key not in self._seen_s and len(self._seen_s) >= _MOST:
-                continue
-            last_s = self._seen_s.get(key)
-            self._seen_s[key] = now_s
+            last_s = self._seen_s.get(cause.kind)
+            self._seen_s[cause.kind] = now_s
             if last_s is None or now_s - last_s > _FORGOTTEN_S:
                 yield cause
 

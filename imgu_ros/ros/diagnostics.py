@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from imgu_ros.codec.diagnostics import HealthEntry, Level
-from imgu_ros.perception.remarks import kind_of
 from imgu_ros.perception.result import PoseStatus, Result
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.input import ImageInput
@@ -125,15 +124,19 @@ def _not_seen(last: Result, source: ImageInput, worker: Worker, now: float) -> I
     )
 
 
+def unusable_camera_info(reason: str, topic: str) -> str:
+    """Return the line that says why a camera_info cannot be used."""
+    said = f"uncalibrated: {reason}, on {topic}; homographies, no poses"
+    return f"{said}; correct it, or calibrate the camera (imgu calibrate)"
+
+
 def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> Iterator[Cause]:
-    effect = "homographies, no poses"
     reason = last.frame.camera_reason
     if reason:
-        said = f"uncalibrated: {reason}, on {source.topics.camera_info}; {effect}"
-        yield Cause(Kind.UNCALIBRATED, f"{said}; correct it, or calibrate the camera (imgu calibrate)", kind_of(reason))
+        yield Cause(Kind.UNCALIBRATED, unusable_camera_info(reason, source.topics.camera_info), is_logged=True)
         return
     for cause in camera_info_causes(node, source, now):
-        yield Cause(cause.kind, f"uncalibrated: {cause.text}; {effect}")
+        yield Cause(cause.kind, f"uncalibrated: {cause.text}; homographies, no poses")
 
 
 _POSE_WORDS = {

@@ -11,7 +11,7 @@ from imgu_ros.perception.remarks import Remarks
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.ros.cause import Cause
-from imgu_ros.ros.diagnostics import NodeState
+from imgu_ros.ros.diagnostics import NodeState, unusable_camera_info
 from imgu_ros.ros.explaining import Explainer
 from imgu_ros.ros.input import ImageInput, Job
 from imgu_ros.ros.managed_node import ManagedNode, run_managed
@@ -80,6 +80,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
 
     def _begin(self) -> None:
         self._explainer.begin()
+        self._remarks = Remarks()
         names = ", ".join(target.name for target in self._worker.targets) or "none (set targets.images)"
         self.get_logger().info(f"targets: {names}; images from {self._input.topics.image} when somebody listens")
 
@@ -135,7 +136,9 @@ class PerceptionNode(ManagedNode[ImageInput]):
             self._log_rejected(result.reason)
         if result.frame.image.remark:
             self._warn_once("image", f"{self._input.topics.image}: {result.frame.image.remark}")
-        for line in self._remarks.news(result.camera_remarks):
+        reason = result.frame.camera_reason
+        unusable = [unusable_camera_info(reason, self._input.topics.camera_info)] if reason else ()
+        for line in self._remarks.news((*result.camera_remarks, *unusable)):
             self.get_logger().warning(line)
         now_ns = self.get_clock().now().nanoseconds
         if now_ns:

@@ -1,0 +1,132 @@
+"""Both sides of every limit of what a K can be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imgu_ros.codec.camera_reading import CameraDescription, read_camera
+
+SIZE = (640, 480)
+
+
+def described(
+    f: tuple[float, float] = (500, 500), c: tuple[float, float] = (319.5, 239.5), size: tuple[int, int] = SIZE, **more
+) -> CameraDescription:
+    K = (f[0], more.pop("skew", 0.0), c[0], 0.0, f[1], c[1], 0.0, 0.0, 1.0)
+    given = {"D": (), "model": "plumb_bob"} | more
+    return CameraDescription("camera_info", K, width=size[0], height=size[1], **given)
+
+
+def outcome(said: CameraDescription, image_size: tuple[int, int] | None = None) -> str:
+    read = read_camera(said, rectified=False, image_size=image_size)
+    assert (read.camera is None) == bool(read.reason)
+    return "problem" if read.reason else "remark" if read.remarks else "fine"
+
+
+def focal(degrees: float) -> tuple[float, float]:
+    f = 320 / math.tan(math.radians(degrees) / 2)
+    return f, f
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        (described(), "fine"),
+        # Angle of view across the longer side.
+        (described(f=focal(154.9)), "fine"),
+        (described(f=focal(155.1)), "problem"),
+        (described(f=focal(179)), "problem"),
+        (described(f=focal(0.68)), "fine"),  # 0.51 degrees down
+        (described(f=focal(0.49)), "problem"),
+        (described(f=(500, 2)), "problem"),
+        (described(f=(65, 65), model="fisheye"), "fine"),
+        (described(f=(63, 63), model="fisheye"), "problem"),
+        # Principal point, one direction.
+        (described(c=(0.36 * 640, 239.5)), "fine"),
+        (described(c=(0.34 * 640, 239.5)), "remark"),
+        (described(c=(319.5, 0.64 * 480)), "fine"),
+        (described(c=(319.5, 0.66 * 480)), "remark"),
+        (described(c=(0.16 * 640, 239.5)), "remark"),
+        (described(c=(0.14 * 640, 239.5)), "problem"),
+        (described(c=(0.86 * 640, 239.5)), "problem"),
+        (described(c=(319.5, -1)), "problem"),
+        # To one corner, as of another resolution.
+        (described(c=(0.42 * 640, 0.42 * 480)), "fine"),
+        (described(c=(0.39 * 640, 0.39 * 480)), "problem"),
+        (described(c=(0.61 * 640, 0.61 * 480)), "problem"),
+        (described(c=(0.38 * 640, 0.62 * 480)), "fine"),
+        (described(c=(0.38 * 640, 0.45 * 480)), "fine"),
+        # Pixels.
+        (described(f=(500, 251)), "fine"),
+        (described(f=(500, 249)), "remark"),
+        (described(f=(500, 1001)), "remark"),
+        (described(skew=24.0), "fine"),
+        (described(skew=-26.0), "remark"),
+        # Of a part of the sensor: binned, or a window.
+        (described(c=(639.5, 479.5), size=(1280, 960), binning=(2, 2)), "fine"),
+        (described(c=(319.5, 239.5), size=(1280, 960), binning=(2, 2)), "problem"),
+        (described(c=(319.5, 479.5), size=(1280, 960), binning=(2, 1)), "problem"),
+        (described(c=(639.5, 479.5), size=(1280, 960), roi=(320, 240, 640, 480)), "fine"),
+        (described(c=(319.5, 239.5), size=(1280, 960), roi=(320, 240, 640, 480)), "problem"),
+        (described(c=(639.5, 479.5), size=(1280, 960), roi=(0, 0, 200, 200)), "fine"),
+        (described(c=(319.5, 239.5), size=(1280, 960), roi=(0, 0, 640, 480)), "remark"),
+        # Both readings in the middle: the standard's.
+        (described(c=(619.5, 459.5), size=(1280, 960), roi=(20, 20, 1240, 920)), "fine"),
+    ],
+)
+def test_limits(said: CameraDescription, expected: str) -> None:
+    assert outcome(said) == expected, read_camera(said, rectified=False)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "more", "expected"),
+    [
+        (1.2, {}, "fine"),
+        (1.3, {}, "remark"),
+        (0.75, {}, "remark"),
+        (0.75, {"D": (-0.3, 0.1, 0, 0, 0)}, "fine"),
+        (0.35, {"D": (-0.3, 0.1, 0, 0, 0)}, "remark"),
+        (2.6, {"D": (-0.3, 0.1, 0, 0, 0)}, "remark"),
+        (0.3, {"D": (0.01, 0, 0, 0), "model": "equidistant"}, "fine"),
+        (0.1, {"D": (0.01, 0, 0, 0), "model": "equidistant"}, "remark"),
+        (1000.0, {}, "remark"),
+    ],
+)
+def test_focal_lengths_of_K_and_P(ratio: float, more: dict[str, object], expected: str) -> None:
+    f = 500 * ratio
+    P = (f, 0.0, 320.0, -10.0, 0.0, f, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    read = read_camera(described(P=P, **more), rectified=False, image_size=SIZE)
+    assert read.camera is not None
+    assert read.camera.K[0, 0] == 500
+    assert [("K and P disagree: fx is 500 px" in line) for line in read.remarks] == [True] * (expected == "remark")
+
+
+def test_which_matrix_would_do_is_said() -> None:
+    good = (500.0, 0.0, 320.0, 0.0, 0.0, 500.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    identity = tuple(np.eye(3).ravel().tolist())
+    said = CameraDescription("camera_info", identity, (), "plumb_bob", 640, 480, P=good)
+    reason = read_camera(said, rectified=False).reason
+    assert "P has fx 500 px: if the images are rectified, set camera.rectified to true" in reason
+    said = described(P=tuple(np.eye(3, 4).ravel().tolist()))
+    reason = read_camera(said, rectified=True).reason
+    assert "K has fx 500 px: if the images are not rectified, set camera.rectified to false" in reason
+
+
+@pytest.mark.parametrize(
+    ("D", "model", "fine"),
+    [
+        ((-0.36, 0.14, 0, 0, -0.025), "plumb_bob", True),
+        ((-0.6, 0, 0, 0, 0), "plumb_bob", True),  # folds in the corners alone
+        ((-5.0, 0, 0, 0, 0), "plumb_bob", False),
+        ((0.2, 0.1, 0, 0), "equidistant", True),
+        ((-9.0, 0, 0, 0), "equidistant", False),
+        ((0.1,) * 5, "plumb_bob", True),
+    ],
+)
+def test_a_lens_that_folds_the_image(D: tuple[float, ...], model: str, fine: bool) -> None:
+    read = read_camera(described(D=D, model=model), rectified=False)
+    assert (read.camera is not None) == fine
+    assert fine or "folds the image over" in read.reason
