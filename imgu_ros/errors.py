@@ -57,5 +57,18 @@ class NoConsensus(EstimationError):
         self.inliers = inliers
 
 
+class NotConfirmed(NoConsensus):
+    """What was found does not look as it should.
+
+    Attributes
+    ----------
+    share : of what was compared, the part that looks as it should, 0 to 1
+    """
+
+    def __init__(self, message: str = "", share: float = 0.0) -> None:
+        super().__init__(message)
+        self.share = share
+
+
 class NotConverged(EstimationError):
     """An iteration ended without reaching its tolerance."""

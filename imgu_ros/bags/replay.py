@@ -22,8 +22,8 @@ from imgu_ros.codec.results import needs_keypoints
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.result import Result, Status, TargetResult
+from imgu_ros.perception.chain import Chain, rejected_targets
+from imgu_ros.perception.result import Result
 from imgu_ros.perception.size_checks import SizeChecks
 from imgu_ros.perception.targets import Target, prepare_targets
 from imgu_ros.report.summary import Source, Summary
@@ -144,14 +144,13 @@ class _Run:
 
     def over(self, frames: Iterator[ReadFrame], sink: ResultSink) -> Passed:
         passed = Passed()
-        names = [target.name for target in self.targets]
         worker, sizes = Chain(self.parameters, self.targets), SizeChecks(self.targets)
         with_keypoints = needs_keypoints(self.record)
         start = time.monotonic()
         with quick_thread_switches(), one_processor_left_over():
             for read in frames:
                 result = (
-                    _rejected(read, names)
+                    _rejected(read, self.targets)
                     if read.development is None
                     else worker.process(read.frame, with_keypoints, read.development)
                 )
@@ -168,6 +167,5 @@ class _Run:
         return passed
 
 
-def _rejected(read: ReadFrame, names: Sequence[str]) -> Result:
-    targets = [TargetResult(name, i, Status.REJECTED, reason=read.reason) for i, name in enumerate(names)]
-    return Result(read.frame, tuple(targets), reason=read.reason)
+def _rejected(read: ReadFrame, targets: Sequence[Target]) -> Result:
+    return Result(read.frame, rejected_targets(targets, read.reason), reason=read.reason)

@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         _write_warped(arguments, result, targets[0].size)
     if found.status.found:
         return 0
-    print(f"imgu: error: {arguments.image}: {found.name} not found: {result.reason or found.reason}", file=sys.stderr)
+    print(f"imgu: error: {arguments.image}: {found.name} not found: {found.reason}", file=sys.stderr)
     return 1
 
 
@@ -129,11 +129,12 @@ def document(result: Result) -> dict[str, object]:
         "target": target.name,
         "status": target.status.value,
         "pose_status": target.pose_status.value,
-        "reason": result.reason or target.reason,
+        "reason": target.reason,
         "n_keypoints": None if result.keypoints is None else len(result.keypoints),
         "n_matches": None if matches is None else len(matches.matches),
         "n_inliers": None if estimate is None else int(np.count_nonzero(estimate.inliers)),
         "rms_px": None if estimate is None else estimate.rms_px,
+        "confirmed_share": target.confirmed_share,
         "H": None if estimate is None else estimate.H.tolist(),
         "H_covariance": None if estimate is None else estimate.covariance.tolist(),
         "outline_px": None if target.outline is None else target.outline.tolist(),
@@ -265,10 +266,7 @@ def _row(row: object) -> str:
 
 
 def _no_pose(target: TargetResult, camera_reason: str) -> str:
-    words = {
-        "ambiguous": "both planar solutions fit",
-        "no_size": "need --width-m",
-    }
+    words = {"no_size": "need --width-m"}
     if target.pose_status.value == "uncalibrated" and not camera_reason:
         words["uncalibrated"] = "need --camera-info"
     return f"{target.pose_status.value}: {words.get(target.pose_status.value, target.reason)}"

@@ -63,6 +63,8 @@ def _values(result: Result, target: TargetResult) -> dict[str, str]:
     if target.homography is not None:
         values["n_inliers"] = str(np.count_nonzero(target.homography.inliers))
         values["rms_px"] = repr(float(target.homography.rms_px))
+    if target.confirmed_share is not None:
+        values["confirmed_share"] = repr(float(target.confirmed_share))
     if target.ambiguity is not None:
         values["ambiguity"] = repr(float(target.ambiguity))
     if target.calibration is not None:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import FileError
-from imgu_ros.files.text_files import open_for_writing
+from imgu_ros.files.text_files import csv_writer, open_for_writing
 from imgu_ros.perception.result import Result, Stage, TargetResult
 from imgu_ros.types import Floats
 
-_IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status")
-_COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px")
+_IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status", "reason")
+_COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px", "confirmed_share")
 H_COLUMNS = tuple(f"h{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 T_COLUMNS = ("tx", "ty", "tz")
 Q_COLUMNS = ("qx", "qy", "qz", "qw")
@@ -37,7 +37,7 @@ class FramesWriter:
 
     def __init__(self, path: Path) -> None:
         self._file = open_for_writing(path)
-        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer = csv_writer(self._file)
         self._writer.writerow(COLUMNS)
 
     def __enter__(self) -> FramesWriter:
@@ -80,10 +80,12 @@ def _row(result: Result, target: TargetResult) -> list[str]:
         target.name,
         target.status.value,
         target.pose_status.value,
+        " ".join((target.reason or result.reason).split()),
         _text(None if result.keypoints is None else len(result.keypoints)),
         _text(None if matches is None else len(matches.matches)),
         _text(None if estimate is None else int(np.count_nonzero(estimate.inliers))),
         _text(None if estimate is None else estimate.rms_px),
+        _text(target.confirmed_share),
         *_texts(None if estimate is None else estimate.H, 9),
         *_texts(None if pose is None else pose.transform.numbers(), 7),
         *_texts(None if pose is None else pose.covariance, 36),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
-from imgu_ros.files.text_files import open_for_writing
+from imgu_ros.files.text_files import csv_writer, open_for_writing
 from imgu_ros.perception.result import PoseStatus, Result
 
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
@@ -52,7 +51,7 @@ class PoseFiles:
         self._stack = ExitStack()
         self._rising = RisingStamps()
         self._trajectories = {name: self._open(out / f"poses_{name}.tum") for name in targets}
-        self._ambiguous = csv.writer(self._open(out / "ambiguous.csv"), lineterminator="\n")
+        self._ambiguous = csv_writer(self._open(out / "ambiguous.csv"))
         self._ambiguous.writerow(AMBIGUOUS_COLUMNS)
 
     def __enter__(self) -> PoseFiles:

@@ -19,6 +19,7 @@ from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import posed
 from imgu_ros.perception.prediction import Sighting, Track
+from imgu_ros.perception.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.perception.refinement import Alignment
 from imgu_ros.perception.result import Result, Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.seeking import Seeker, View
@@ -122,8 +123,13 @@ class Chain:
                 return self._worked(frame, development.developed, with_keypoints, clock, start)
             except ImguError as error:
                 reason = str(error)
-        rejected = tuple(TargetResult(t.name, i, Status.REJECTED, reason=reason) for i, t in enumerate(self._targets))
-        return Result(frame, rejected, reason=reason, times_ns=clock.times_ns, total_ns=time.perf_counter_ns() - start)
+        return Result(
+            frame,
+            rejected_targets(self._targets, reason),
+            reason=reason,
+            times_ns=clock.times_ns,
+            total_ns=time.perf_counter_ns() - start,
+        )
 
     def _worked(
         self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
@@ -143,7 +149,7 @@ class Chain:
             for result in self._seeker.seek(view, missing, clock, thorough):
                 results[result.index] = result
         targets = tuple(
-            result or TargetResult(target.name, index, Status.LOST, reason="not looked for in this frame")
+            result or TargetResult(target.name, index, Status.LOST, reason=UNLIKELY if due else NOT_DUE)
             for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
         )
         self._frames_without_search = 0 if due or not missing else self._frames_without_search + 1
@@ -171,7 +177,13 @@ class Chain:
                 alignment = follow(target, track, pictures, frame.stamp_ns, frame.camera, p)
         except EstimationError:
             return None
-        found = TargetResult(target.name, index, Status.TRACKED, matches=_as_matches(alignment))
+        found = TargetResult(
+            target.name,
+            index,
+            Status.TRACKED,
+            matches=_as_matches(alignment),
+            confirmed_share=alignment.agreeing_share,
+        )
         with clock.measures(Stage.POSE):
             return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason, self._calibration)
 
@@ -206,6 +218,12 @@ class Chain:
         """
         seen = self._seen[index]
         return [seen] if seen is not None and 0 < frame.stamp_ns - seen.stamp_ns <= _STEADY_NS else []
+
+
+def rejected_targets(targets: Sequence[Target], reason: str) -> tuple[TargetResult, ...]:
+    """Return what is said of each target in a frame that cannot be used, for `reason`."""
+    words = unusable_frame(reason)
+    return tuple(TargetResult(target.name, i, Status.REJECTED, reason=words) for i, target in enumerate(targets))
 
 
 def _as_matches(alignment: Alignment) -> TargetMatches:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.errors import NoConsensus
+from imgu_ros.errors import NotConfirmed
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.targets import AlignmentLevel, Target
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
@@ -53,8 +53,8 @@ FINE = Comparison(cells=32, samples=5, alike=0.75, fewest=24, needed=0.325)
 COARSE = Comparison(cells=16, samples=8, alike=0.6, fewest=12, needed=0.45)
 
 
-def require_confirmed(pictures: Pictures, target: Target, H: Matrix3, camera: Camera | None) -> None:
-    """Raise `NoConsensus` when too little of a target looks as it should where an estimate says it is.
+def require_confirmed(pictures: Pictures, target: Target, H: Matrix3, camera: Camera | None) -> float:
+    """Return the share of a target in view that looks as it should where an estimate says it is.
 
     Parameters
     ----------
@@ -62,10 +62,19 @@ def require_confirmed(pictures: Pictures, target: Target, H: Matrix3, camera: Ca
     target : the target
     H : H_image_template in ideal px, the target in front of the camera
     camera : intrinsics when the lens distorts; else None
+
+    Raises
+    ------
+    NotConfirmed
+        If it is too little.
     """
     share = confirmed_share(pictures, target, H, camera)
-    if share < FINE.needed and confirmed_share(pictures, target, H, camera, COARSE) < COARSE.needed:
-        raise NoConsensus(f"target: {share:.0%} of what is in view looks as it should; need {FINE.needed:.0%}")
+    if share >= FINE.needed:
+        return share
+    coarse = confirmed_share(pictures, target, H, camera, COARSE)
+    if coarse < COARSE.needed:
+        raise NotConfirmed(f"{share:.0%} of what is in view looks as it should, {FINE.needed:.0%} needed", share)
+    return coarse
 
 
 def confirmed_share(

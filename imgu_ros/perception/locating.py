@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, TooFewPoints
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
 from imgu_ros.params import Parameters
 from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.confirming import require_confirmed
 from imgu_ros.perception.guiding import Guided
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, bending, posed, require_plausible
+from imgu_ros.perception.reasons import why_not_found
 from imgu_ros.perception.refinement import Alignment, refine_by_alignment
 from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResult
 from imgu_ros.perception.targets import Target
@@ -88,30 +89,39 @@ def located(
             if guide is not None:
                 more = guide(Guided(matches, place or _fitted(agreed, matches, parameters)))
                 matches, place = more.matches, more.located
-        confirmed = sight.pictures is None
+        is_confirmed, share = sight.pictures is None, None
         if parameters.refinement.enabled and sight.pictures is not None:
             H = _start(known, agreed, matches) if place is None else place.homography.H
             with clock.measures(Stage.REFINE):
                 aligned = _aligned(known, sight.pictures, H, lens, parameters)
             if aligned is not None:
                 place = Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed)
-                confirmed = len(aligned.template_xy) >= _CONFIRMING_SHARE * aligned.sought
+                share = aligned.agreeing_share
+                is_confirmed = share >= _CONFIRMING_SHARE
         with clock.measures(Stage.HOMOGRAPHY):
             # Where patches do not agree (blur, little texture), keypoints still say where the target is.
             place = place or _fitted(agreed, matches, parameters)
             # Where little of a target is in view, only the refined homography is good enough to tell.
             require_plausible(known, place.homography)
-            if not confirmed and sight.pictures is not None:
-                require_confirmed(sight.pictures, known, place.homography.H, lens)
-    except DegenerateConfiguration as error:
-        return replace(target, status=Status.DEGENERATE, reason=str(error))
-    except NoConsensus as error:
-        return replace(target, reason=str(error), most_inliers=max(target.most_inliers, error.inliers))
+            if not is_confirmed and sight.pictures is not None:
+                share = require_confirmed(sight.pictures, known, place.homography.H, lens)
     except EstimationError as error:
-        return replace(target, reason=str(error))
-    detected = replace(target, status=Status.DETECTED, matches=matches, most_inliers=0)
+        return _missing(target, error, len(matches.template_xy), parameters)
+    detected = replace(target, status=Status.DETECTED, matches=matches, confirmed_share=share, most_inliers=0)
     with clock.measures(Stage.POSE):
         return finish(detected, known, place, sight.camera, parameters, sight.camera_reason)
+
+
+def _missing(target: TargetResult, error: EstimationError, matches: int, parameters: Parameters) -> TargetResult:
+    """Return the result of a target that was looked for and not found."""
+    agreeing = max(target.most_inliers, error.inliers if isinstance(error, NoConsensus) else 0)
+    return replace(
+        target,
+        status=Status.DEGENERATE if isinstance(error, DegenerateConfiguration) else target.status,
+        reason=why_not_found(error, matches, agreeing, parameters.homography.min_inliers),
+        confirmed_share=error.share if isinstance(error, NotConfirmed) else None,
+        most_inliers=agreeing,
+    )
 
 
 def draws(parameters: Parameters, stamp_ns: int, index: int) -> np.random.Generator:

@@ -11,6 +11,7 @@ import numpy as np
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.calibration_check import CalibrationCheck
+from imgu_ros.perception.reasons import NO_CAMERA_INFO, NO_SIZE, no_pose, why_ambiguous
 from imgu_ros.perception.result import PoseStatus, TargetResult
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Matrix3, Points
@@ -22,8 +23,6 @@ from imgu_ros.vision.projective.homography import HomographyEstimate
 
 #: A target whose outline covers less than this in the frame is not one.
 _MIN_AREA_PX = 100.0
-#: Why a frame without camera and without a reason for that has no poses.
-NO_CAMERA_INFO = "no calibration: there is no camera_info"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +76,7 @@ def posed(
     if camera is None:
         return seen(pose_status=PoseStatus.UNCALIBRATED, reason=camera_reason or NO_CAMERA_INFO)
     if target.width_m == 0:
-        return seen(pose_status=PoseStatus.NO_SIZE, reason="targets.widths_m is 0 for this target")
+        return seen(pose_status=PoseStatus.NO_SIZE, reason=NO_SIZE)
     try:
         if located.condensed is not None:
             asked = check is None or camera.covariance is not None or check.wants(camera, found.index, outline)
@@ -91,15 +90,16 @@ def posed(
         else:
             poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
     except EstimationError as error:
-        return seen(reason=str(error))
-    ambiguous = poses.ambiguity > parameters.pose.ambiguity_ratio
+        return seen(reason=no_pose(error))
+    limit = parameters.pose.ambiguity_ratio
+    is_ambiguous = poses.ambiguity > limit
     return seen(
-        pose_status=PoseStatus.AMBIGUOUS if ambiguous else PoseStatus.METRIC,
-        reason="both planar solutions fit" if ambiguous else "",
-        pose=None if ambiguous else poses.solutions[0],
+        pose_status=PoseStatus.AMBIGUOUS if is_ambiguous else PoseStatus.METRIC,
+        reason=why_ambiguous(poses.ambiguity, limit) if is_ambiguous else "",
+        pose=None if is_ambiguous else poses.solutions[0],
         solutions=poses.solutions,
         ambiguity=poses.ambiguity,
-        calibration=None if ambiguous else poses.calibration,
+        calibration=None if is_ambiguous else poses.calibration,
     )
 
 

@@ -56,6 +56,11 @@ class Alignment:
     halvings: int
 
     @property
+    def agreeing_share(self) -> float:
+        """Share of the patches looked for that agree, 0 to 1."""
+        return len(self.template_xy) / self.sought
+
+    @property
     def homography(self) -> HomographyEstimate:
         """H_image_template in ideal px."""
         return self.condensed.estimate

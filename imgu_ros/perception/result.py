@@ -85,7 +85,7 @@ class TargetResult:
     ----------
     name, index : the target's name and its place in `targets.images`
     status, pose_status : see there
-    reason : why there is no homography or no pose; empty when nothing is missing
+    reason : why there is no homography or no pose, in the user's terms first; empty when nothing is missing
     matches : tentative matches; None when the stage was not reached
     homography : H_image_template with its covariance, in ideal (undistorted) pixels of the camera when the
         camera is calibrated and distorted, else in raw pixels; None when not found
@@ -95,6 +95,8 @@ class TargetResult:
     solutions : the refined planar solutions, best first: two, or one when the other cannot be
     ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
     calibration : what the picture says of the camera's numbers beside the pose; None without a pose
+    confirmed_share : share of the target in view that looks as it should where it was found, or was thought to be, 0 to
+        1: of patches looked for those that agree, or of cells compared those that look alike; None: not compared
     most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
     """
 
@@ -109,6 +111,7 @@ class TargetResult:
     pose: Pose | None = None
     solutions: tuple[Pose, ...] = ()
     ambiguity: float | None = None
+    confirmed_share: float | None = None
     most_inliers: int = 0
     calibration: CalibrationTest | None = None
 

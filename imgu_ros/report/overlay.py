@@ -11,6 +11,7 @@ import numpy as np
 
 from imgu_ros.errors import FileError, ImguError
 from imgu_ros.files.images import RASTER_SUFFIXES, write_image
+from imgu_ros.perception.reasons import unusable_frame
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.types import Floats, Image, Points
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -100,7 +101,8 @@ def _draw_over(pen: _Pen, result: Result) -> None:
         _draw_outline(pen, target, result.frame.camera)
         _draw_axes(pen, target, result.frame.camera)
     if result.reason or not result.targets:
-        pen.text([(result.reason or "no targets", STATUS_COLORS[Status.REJECTED])])
+        text = unusable_frame(result.reason) if result.reason else "no targets"
+        pen.text([(text, STATUS_COLORS[Status.REJECTED])])
     else:
         pen.text([(_status_text(target), STATUS_COLORS[target.status]) for target in result.targets])
 

@@ -140,7 +140,7 @@ def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> I
 
 
 _POSE_WORDS = {
-    PoseStatus.AMBIGUOUS: "ambiguous: both planar solutions fit; need a view from nearer or more from the side",
+    PoseStatus.AMBIGUOUS: "ambiguous: two poses fit alike; need a view from nearer or more from the side",
     PoseStatus.NO_SIZE: "no size: set targets.widths_m for a metric pose",
 }
 

@@ -15,8 +15,9 @@ from imgu_ros.codec.header import Header, decode_header
 from imgu_ros.errors import EncodingError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.building import Built, build
+from imgu_ros.perception.chain import rejected_targets
 from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result, Status, TargetResult
+from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import Target, TargetImage
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.meters import LatencyMeter, RateMeter
@@ -270,8 +271,7 @@ class Worker:
 
     def _rejected_result(self, header: Header, reason: str) -> Result:
         frame = Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, None)
-        targets = tuple(TargetResult(t.name, i, Status.REJECTED, reason=reason) for i, t in enumerate(self.targets))
-        return Result(frame, targets, reason=reason)
+        return Result(frame, rejected_targets(self.targets, reason), reason=reason)
 
 
 #: Stands in results for an image that could not be read.

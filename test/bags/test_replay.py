@@ -95,7 +95,8 @@ def test_columns_are_those_of_the_interface(clean: Path) -> None:
     h = [f"h{i}{j}" for i in "123" for j in "123"]
     c = [f"c{i}{j}" for i in "123456" for j in "123456"]
     expected = (
-        "stamp_ns,frame_id,target,status,pose_status,n_keypoints,n_matches,n_inliers,rms_px".split(",")
+        "stamp_ns,frame_id,target,status,pose_status,reason".split(",")
+        + "n_keypoints,n_matches,n_inliers,rms_px,confirmed_share".split(",")
         + h
         + "tx,ty,tz,qx,qy,qz,qw".split(",")
         + c
@@ -119,7 +120,7 @@ def test_every_frame_is_found_and_near_the_truth(bag: Path, clean: Path) -> None
 
 def test_numbers_round_trip_and_nothing_is_nan(clean: Path) -> None:
     for row in rows(clean):
-        for name in COLUMNS[5:]:
+        for name in COLUMNS[6:]:
             value = row[name]
             assert not value or value == repr(float(value) if "." in value or "e" in value else int(value))
             assert value not in ("nan", "inf")
@@ -222,7 +223,8 @@ def test_unreadable_frames_become_rows_beside_the_others(
         assert [got[index][n] for n in ("stamp_ns", "frame_id", "target")] == [
             before[index][n] for n in ("stamp_ns", "frame_id", "target")
         ]
-        assert not any(got[index][name] for name in COLUMNS[4:])
+        assert got[index]["reason"].startswith("the frame cannot be used (")
+        assert not any(got[index][name] for name in COLUMNS[4:] if name != "reason")
     assert summary.rejected == 3
     assert {reason.status for reason in summary.reasons} == {"rejected"}
     assert len([text for text in said if "no_such_encoding" in text]) == 1

@@ -143,7 +143,7 @@ def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_fr
         assert lost.homography is None
         assert lost.pose is None
         assert chain.process(one_target_frames[1].frame).targets[0].status is Status.DETECTED
-    assert lost.reason == "matches: 0; need 8"  # of the blank frame
+    assert lost.reason == "not in view, too small, blurred or covered (0 matches, 8 needed)"  # of the blank frame
 
 
 def test_stamps_that_jump_back_begin_anew(one_target_frames: Frames, targets: Targets) -> None:

@@ -106,7 +106,7 @@ def test_frames_that_do_not_fit_the_band_parameters_are_rejected(
     frames = with_pixels(color_frames, cubes, PixelLayout(ColorModel.BANDS))
     for result in results_of(frames, targets, values):
         assert result.targets[0].status is Status.REJECTED
-        assert result.targets[0].reason.startswith(reason)
+        assert result.targets[0].reason.startswith(f"the frame cannot be used ({reason}")
 
 
 def test_thermal_frames_need_no_levels(target_images: tuple[TargetImage, ...], targets: tuple[Target, ...]) -> None:

@@ -22,6 +22,7 @@ from imgu_ros.perception.features import reduction_of
 from imgu_ros.perception.locating import Sight, draws, located
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import Located, posed
+from imgu_ros.perception.reasons import no_matches
 from imgu_ros.perception.result import PoseStatus, Result, Status, TargetMatches, TargetResult
 from imgu_ros.perception.seeking import while_promising
 from imgu_ros.perception.targets import Target, TargetImage
@@ -106,7 +107,7 @@ class HomographyStage(TargetStage):
 
         found = {result.index: result for result in while_promising(sought())}
         targets = tuple(
-            found.get(index) or TargetResult(target.name, index, Status.LOST, reason="no matches")
+            found.get(index) or TargetResult(target.name, index, Status.LOST, reason=no_matches())
             for index, target in enumerate(self.targets)
         )
         result = Result(

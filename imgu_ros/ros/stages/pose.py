@@ -15,6 +15,7 @@ from imgu_ros.params import Parameters
 from imgu_ros.perception.calibration_check import CalibrationCheck
 from imgu_ros.perception.chain import JUMP_NS
 from imgu_ros.perception.posing import Located, posed
+from imgu_ros.perception.reasons import no_homography, no_pose
 from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
@@ -92,11 +93,11 @@ class PoseStage(TargetStage):
     ) -> TargetResult:
         target = self.targets[index]
         if index not in estimates:
-            return TargetResult(target.name, index, Status.LOST, reason="no homography")
+            return TargetResult(target.name, index, Status.LOST, reason=no_homography())
         matches = agreeing[index]
         place = Located(matches.template_xy, matches.image_xy, estimates[index])
         found = TargetResult(target.name, index, Status.DETECTED, matches=matches)
         try:
             return posed(found, target, place, read.camera, self.parameters, read.reason)
         except EstimationError as error:
-            return TargetResult(target.name, index, Status.DEGENERATE, reason=str(error), matches=matches)
+            return TargetResult(target.name, index, Status.DEGENERATE, reason=no_pose(error), matches=matches)

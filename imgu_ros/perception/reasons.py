@@ -1,0 +1,60 @@
+"""Why a target has no homography or no pose: in the user's terms first, then in numbers. All such words are here."""
+
+from __future__ import annotations
+
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
+
+NOT_IN_VIEW = "not in view, too small, blurred or covered"
+NOT_DUE = "not looked for in this frame, while others are in view (tracking.search_every)"
+UNLIKELY = f"{NOT_IN_VIEW} (fewer of its keypoints than of other targets)"
+NO_CAMERA_INFO = "no calibration: there is no camera_info"
+NO_SIZE = "its printed width is not known (targets.widths_m is 0 for it)"
+
+
+def why_not_found(error: EstimationError, matches: int, agreeing: int, needed: int) -> str:
+    """Return why a target that was looked for was not found.
+
+    Parameters
+    ----------
+    error : what the search ended with
+    matches : tentative ones
+    agreeing : the most of them that agreed on where the target could be
+    needed : fewest that must agree
+    """
+    if isinstance(error, NotConfirmed):
+        return f"something like it is in view, or it is mostly covered ({error})"
+    if isinstance(error, DegenerateConfiguration):
+        return f"seen too steeply, too small or mirrored ({error})"
+    if isinstance(error, TooFewPoints) and matches < needed:
+        return f"{NOT_IN_VIEW} ({matches} matches, {needed} needed)"
+    if isinstance(error, NoConsensus) and agreeing < needed:
+        return f"{NOT_IN_VIEW} ({agreeing} of {matches} matches agree, {needed} needed)"
+    return f"{NOT_IN_VIEW} ({error})"
+
+
+def no_matches() -> str:
+    """Return why a target is not found of which a stage got no matches."""
+    return f"{NOT_IN_VIEW} (no matches)"
+
+
+def no_homography() -> str:
+    """Return why a target has no pose of which a stage got no homography."""
+    return f"{NOT_IN_VIEW} (no homography)"
+
+
+def unusable_frame(why: str) -> str:
+    """Return why no target is found in a frame that cannot be read or developed."""
+    return f"the frame cannot be used ({why})"
+
+
+def why_ambiguous(ratio: float, limit: float) -> str:
+    """Return why there is no pose where both planar solutions fit: `ratio` of their errors, `limit` for a pose."""
+    return (
+        "two poses fit alike, as of a target that is far away or seen straight on "
+        f"(ratio of their errors {ratio:.2f}, at most {limit:g} for a pose)"
+    )
+
+
+def no_pose(error: EstimationError) -> str:
+    """Return why there is no pose where none can be computed."""
+    return f"no camera sees the target so ({error})"
