@@ -106,7 +106,7 @@ def test_bad_frames_are_said_and_do_not_stop_the_node(node, world, peer, make_ca
     first, second, third, last = world.frames
     for frame, changes in (
         (first, {"encoding": "bayer_rgbg8"}),
-        (second, {"step": 7}),
+        (second, {"width": 100_000}),
         (third, {"height": 0}),
     ):
         count = len(peer.heard["/status"])
