@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from imgu_ros.codec.distortion_names import Lens, listed, named_lens
-from imgu_ros.codec.intrinsics_check import Verdict, check_intrinsics, focal_ratio_remark
+from imgu_ros.codec.intrinsics_check import Verdict, check_intrinsics, focal_ratio_remark, tangential_remark
 from imgu_ros.errors import EncodingError, ShapeError
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.camera_covariance import as_covariance, with_covariance
@@ -99,7 +99,10 @@ def _read(said: CameraDescription, rectified: bool, image_size: tuple[int, int] 
         if not np.isfinite(values).all():
             raise EncodingError(f"{name} {listed(values)}; need finite numbers")
     name = "P[:3, :3]" if rectified else "K"
-    matrix = _matrix(said, rectified)
+    try:
+        matrix = _matrix(said, rectified)
+    except EncodingError as error:
+        raise EncodingError(f"{error}{_other_matrix(said, rectified)}") from None
     lens = Lens(DistortionModel.PLUMB_BOB, ()) if rectified else named_lens(said.model, said.D)
     size = image_size or _own_size(said)
     _check_sizes(said, matrix, size)
@@ -112,7 +115,8 @@ def _read(said: CameraDescription, rectified: bool, image_size: tuple[int, int] 
         camera = with_covariance(camera, _covariance_in_image(said, matrix, rectified))
     # Many frames have this very object.
     camera.K.flags.writeable = camera.distortion.flags.writeable = False
-    remarks = [*(f"{name} {remark}" for remark in verdict.remarks), lens.remark, _disagreement(said)]
+    remarks = [*(f"{name} {remark}" for remark in verdict.remarks), lens.remark]
+    remarks += tangential_remark(lens.model, lens.coefficients), _disagreement(said)
     return CameraReading(camera, remarks=tuple(f"{said.source}: {remark}" for remark in remarks if remark))
 
 
@@ -211,6 +215,8 @@ def _covariance_in_image(said: CameraDescription, matrix: Matrix3, rectified: bo
 
 def _other_matrix(said: CameraDescription, rectified: bool) -> str:
     """Return a hint when the matrix that is not used can be a camera's."""
+    if said.width < 1 or said.height < 1:
+        return ""
     try:
         other = _matrix(said, not rectified)
     except EncodingError:

@@ -7,6 +7,7 @@ sensors of which a part was calibrated as if it were all, simulated pinholes of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imgu_ros.types import Matrix3
@@ -29,6 +30,8 @@ _NO_CENTRE = 0.02
 #: fx / fy, and skew / fx, worth a word.
 ASPECT = 2.0
 SKEW = 0.05
+#: p1, p2 worth a word.
+TANGENTIAL = 0.03
 #: P's focal length over K's, up to which rectification explains it: without distortion, with it, of wide lenses.
 RECTIFIED = (1.25, 2.5, 6.0)
 
@@ -88,6 +91,17 @@ def focal_ratio_remark(K: Matrix3, P: Matrix3, model: DistortionModel, distorted
                 f"times as much; rectification explains {1 / most:.2g} to {most:.2g}"
             )
     return ""
+
+
+def tangential_remark(model: DistortionModel, coefficients: Sequence[float]) -> str:
+    """Return a remark when p1 or p2 is so large that something else may stand in their places; else empty."""
+    p1, p2 = (*coefficients, 0.0, 0.0, 0.0, 0.0)[2:4]
+    if model is DistortionModel.EQUIDISTANT or max(abs(p1), abs(p2)) <= TANGENTIAL:
+        return ""
+    return (
+        f"D has p1 {p1:g} and p2 {p2:g}, at most 0.01 in most lenses: it may be in another order than k1 k2 p1 p2 k3, "
+        "or of another model"
+    )
 
 
 def _placeholder(matrix: Matrix3) -> str:

@@ -110,9 +110,45 @@ def test_which_matrix_would_do_is_said() -> None:
     said = CameraDescription("camera_info", identity, (), "plumb_bob", 640, 480, P=good)
     reason = read_camera(said, rectified=False).reason
     assert "P has fx 500 px: if the images are rectified, set camera.rectified to true" in reason
+    # What depthai-ros sends for rectified images.
+    said = CameraDescription("camera_info", (0.0,) * 9, (0.0,) * 8, "rational_polynomial", 640, 480, P=good)
+    reason = read_camera(said, rectified=False).reason
+    assert "K is all zero: the camera is not calibrated; P has fx 500 px" in reason
+    assert read_camera(said, rectified=True).reason == ""
     said = described(P=tuple(np.eye(3, 4).ravel().tolist()))
     reason = read_camera(said, rectified=True).reason
     assert "K has fx 500 px: if the images are not rectified, set camera.rectified to false" in reason
+
+
+def test_the_order_of_D() -> None:
+    for D, model, odd in (
+        ((0.1, -0.1, 0.02, -0.02, 0.05), "plumb_bob", False),
+        ((0.09, -0.12, 0.05, 0.0004, -0.0002), "plumb_bob", True),  # k1 k2 k3 p1 p2: Orbbec
+        ((-0.0022, 0.0376, -0.0364, 0.0059, 0.0), "plumb_bob", True),  # a fisheye's: T265
+        ((-0.0022, 0.0376, -0.0364, 0.0059), "equidistant", False),
+    ):
+        (*remarks,) = read_camera(described(D=D, model=model), rectified=False).remarks
+        assert ["another order" in line for line in remarks] == [True] * odd
+
+
+#: Fits that look odd and are cameras': strong rational ones cancel.
+REAL = (
+    ((1874.6, 1879.6), (647.5, 485.5), (1296, 972), "rational_polynomial",
+     (-13.238113, -98.012135, 0.001444, 0.002849, 1357.782415, -13.050801, -102.363353, 1383.055291)),
+    ((795, 795), (641, 362), (1280, 720), "rational_polynomial",
+     (4.6552, 1.3477, -0.0003, 0.0002, 0.05, 4.9, 2.9, 0.3, 0.001, 0, -0.001, 0, 0.004, -0.012)),
+    ((1451.8, 1451.8), (343, 237), (640, 480), "plumb_bob", (-0.160041, 1.349563, -0.001729, -0.000031, -9.472244)),
+    ((545.2, 540.9), (339.5, 181.4), (640, 360), "plumb_bob", (-0.5351, 0.369, 0.0147, -0.00339, -0.128)),
+    ((484.2, 484.2), (950.6, 587), (1920, 1200), "plumb_bob", (-0.008885, -0.00041, -0.00196, 0.001645, 0)),
+    ((1138.8, 1138.4), (1635.7, 1208.6), (3280, 2464), "equidistant", (0.03678, 0.009125, -0.009733, -0.010051)),
+    ((642.9, 642.9), (637.5, 350.7), (1280, 720), "plumb_bob", (0, 0, 0, 0, 0)),
+    ((427.3, 427.3), (422.4, 43.8), (848, 100), "plumb_bob", (0, 0, 0, 0, 0)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("f", "c", "size", "model", "D"), REAL)
+def test_calibrations_of_real_cameras_pass(f, c, size, model, D) -> None:
+    assert outcome(described(f, c, size, model=model, D=D)) == "fine"
 
 
 @pytest.mark.parametrize(
