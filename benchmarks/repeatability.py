@@ -27,9 +27,8 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image, Matrix3, Points
-from imgu_ros.vision.keypoints.detect import Detector, detect
-from imgu_ros.vision.projective.transform import transform
-from imgu_ros.vision.scale_space.pyramid import build_pyramid
+from imgu_ros.vision.keypoints import Detector, detect, repeatability
+from imgu_ros.vision.scale_space import build_pyramid
 
 COUNT = 1000
 TOLERANCE_PX = 3.0
@@ -84,26 +83,6 @@ DETECTORS: dict[str, Callable[[Image], Points]] = {
 }
 
 
-def repeatability(first: Points, second: Points, H: Matrix3, size: tuple[int, int]) -> tuple[float, int]:
-    """Return the share of the keypoints of the common part that are in both pictures, and their number."""
-    there, back = transform(H, first), transform(np.linalg.inv(H), second)
-    limit = np.array(size) - 1
-    a, b = (np.flatnonzero(((p >= 0) & (p <= limit)).all(axis=1)) for p in (there, back))
-    if not len(a) or not len(b):
-        return 0.0, 0
-    apart = np.maximum(
-        np.linalg.norm(there[a, None] - second[b], axis=2), np.linalg.norm(first[a, None] - back[b], axis=2)
-    )
-    i, j = np.nonzero(apart <= TOLERANCE_PX)
-    order = np.argsort(apart[i, j], kind="stable")
-    used: tuple[set[int], set[int]] = (set(), set())
-    for m, n in zip(i[order].tolist(), j[order].tolist(), strict=True):
-        if m not in used[0] and n not in used[1]:
-            used[0].add(m)
-            used[1].add(n)
-    return len(used[0]) / min(len(a), len(b)), len(used[0])
-
-
 def pictures(data: Path, sequence: str) -> Iterator[tuple[Image, Matrix3]]:
     """Yield the pictures of a sequence, grey, with the homographies from the first one."""
     folder = data / "homography" / sequence
@@ -124,8 +103,9 @@ def measured(name: str, data: Path) -> Figures:
     pairs: dict[str, list[int]] = {}
     for sequence in SEQUENCES:
         keypoints = [(found(image), H, image.shape[1::-1]) for image, H in pictures(data, sequence)]
-        rows = [repeatability(keypoints[0][0], xy, H, size) for xy, H, size in keypoints[1:]]
-        repeated[sequence], pairs[sequence] = [r for r, _ in rows], [n for _, n in rows]
+        xy, _, size = keypoints[0]
+        rows = [repeatability(xy, other, H, size, other_size, TOLERANCE_PX) for other, H, other_size in keypoints[1:]]
+        repeated[sequence], pairs[sequence] = [row.share for row in rows], [len(row.index_src) for row in rows]
     image = large(data)
     times = []
     for _ in range(5):

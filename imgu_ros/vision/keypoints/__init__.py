@@ -20,7 +20,8 @@ get them all. (`orb` spreads its strongest 2 `max_count`, as OpenCV stops there.
 intensity centroid (`centroid_orientation`; for regions of any size `scaled_orientation`), for `dog` the peaks of the
 histogram of gradient directions (`dominant_orientations`).
 
-How often keypoints are found again, beside OpenCV's own detectors, with time and memory: `docs/repeatability.md`.
+How often keypoints are found again: `repeatability`; measured beside OpenCV's own detectors, with time and memory:
+`docs/repeatability.md`.
 
 Notes 4.2.1 to 4.2.4 and 4.3.1; Harris & Stephens 1988, Moravec 1980, Rosten & Drummond 2006, Lowe 2004, Matas et al.
 2002, Rublee et al. 2011. The angle is measured from x towards y, clockwise as seen.
@@ -39,6 +40,7 @@ from imgu_ros.vision.keypoints.opencv import corners_from_opencv, opencv_keypoin
 from imgu_ros.vision.keypoints.orb import detect_orb
 from imgu_ros.vision.keypoints.orientation import centroid_orientation, scaled_orientation
 from imgu_ros.vision.keypoints.peaks import Peaks, find_peaks
+from imgu_ros.vision.keypoints.repeatability import Repeatability, repeatability
 from imgu_ros.vision.keypoints.spreading import spread
 
 __all__ = [
@@ -48,6 +50,7 @@ __all__ = [
     "Orientations",
     "Peaks",
     "Regions",
+    "Repeatability",
     "centroid_orientation",
     "corners_from_opencv",
     "detect",
@@ -66,6 +69,7 @@ __all__ = [
     "opencv_keypoints",
     "positions",
     "refined_centres",
+    "repeatability",
     "require_describable",
     "scaled_orientation",
     "spread",

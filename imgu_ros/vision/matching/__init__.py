@@ -41,6 +41,7 @@ from imgu_ros.vision.matching.alignment import Displacements, LocalBend, Patches
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.guided import GuidedHomography, guided_homography, match_guided
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
+from imgu_ros.vision.matching.hamming_distance import hamming_distance
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import (
@@ -86,6 +87,7 @@ __all__ = [
     "comparable_rows",
     "find_places",
     "guided_homography",
+    "hamming_distance",
     "match",
     "match_guided",
     "match_to_gallery",

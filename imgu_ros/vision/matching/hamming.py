@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Indices
+from imgu_ros.vision.matching.hamming_distance import hamming_distance
 from imgu_ros.vision.matching.metrics import checked_rows, comparable_rows, require_index
 
 #: Of bits that one product sums up: two such sums fit exactly into the 24 bits of a float32.
@@ -78,8 +79,7 @@ class BinaryRows:
         """Return in how many bits each row of `src`, (N, D / 8) uint8, differs from the one of its index, (N,)."""
         src = comparable_rows(src, self.rows.shape[1], np.uint8)
         require_index(index, len(src), len(self.rows))
-        differing: NDArray[np.uint8] = np.bitwise_xor(src, self.rows[index])
-        return np.asarray(np.unpackbits(differing, axis=1).sum(axis=1), np.float64)
+        return hamming_distance(src, self.rows[index]).astype(np.float64)
 
 
 def binary_rows(rows: Image) -> BinaryRows:

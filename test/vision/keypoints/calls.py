@@ -26,6 +26,7 @@ from imgu_ros.vision.keypoints.opencv import (
 from imgu_ros.vision.keypoints.orb import detect_orb
 from imgu_ros.vision.keypoints.orientation import centroid_orientation, scaled_orientation
 from imgu_ros.vision.keypoints.peaks import find_peaks
+from imgu_ros.vision.keypoints.repeatability import repeatability
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.scale_space.pyramid import build_pyramid
 
@@ -46,6 +47,13 @@ def five_keypoints(rng: Generator) -> Keypoints:
 
 
 CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
+    repeatability: lambda rng: {
+        "src_xy": rng.uniform(0, 99, (9, 2)),
+        "dst_xy": rng.uniform(0, 99, (8, 2)),
+        "H_dst_src": [[1.1, 0.1, 3], [-0.1, 1, 2], [1e-4, 0, 1]],
+        "src_size": (100, 100),
+        "radius_px": 9.0,
+    },
     detect: lambda rng: {"pyramid": build_pyramid(picture(rng)), "detector": "harris", "max_count": 20},
     detect_dog: lambda rng: {"image": picture(rng), "max_count": 20},
     refined_centres: lambda rng: {

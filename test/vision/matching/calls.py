@@ -11,6 +11,7 @@ from imgu_ros.types import Image
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.guided import guided_homography, match_guided
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
+from imgu_ros.vision.matching.hamming_distance import hamming_distance
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import (
@@ -66,6 +67,7 @@ def homography(rng: np.random.Generator) -> np.ndarray:
 
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
+    hamming_distance: lambda rng: {"a": bits(rng, 6), "b": bits(rng, 6)},
     match: lambda rng: {"src": bits(rng, 6), "dst": bits(rng, 7), "dst_xy": places(rng, 7)},
     match_numbers: lambda rng: {
         "src": numbers(rng, 6),
