@@ -25,6 +25,11 @@ class Oddity(StrEnum):
     FALLING = "falling_stamps"
     JUMP = "stamps_jump_back"
 
+    @property
+    def is_about_frames(self) -> bool:
+        """Whether the name of a frame is odd, not a stamp."""
+        return self in (Oddity.SLASH, Oddity.NO_FRAME, Oddity.OTHER_FRAME)
+
 
 class HeaderChecks:
     """Looks at the headers of one image topic and of its camera_info.
@@ -87,12 +92,11 @@ class HeaderChecks:
         camera_frame : the parameter `frames.camera`, which stands for all names of the images' frame
         lately : only what was seen in the last 300 images
         """
-        of_frames = (Oddity.SLASH, Oddity.NO_FRAME, Oddity.OTHER_FRAME)
         return {
             oddity: self._line(oddity)
             for oddity in Oddity
             if oddity in self._counts
-            and not (camera_frame and oddity in of_frames)
+            and not (camera_frame and oddity.is_about_frames)
             and not (lately and self._images - self._last_seen[oddity] >= _FORGOTTEN)
         }
 

@@ -31,6 +31,9 @@ class Kind(StrEnum):
     NOT_SEEN = "not_seen"
     NO_POSE = "no_pose"  #: a target is seen, and its pose is ambiguous or its size unknown
     FRAMES = "frames"  #: there are poses, and no place for them among the frames of the map and of /tf
+    FRAME_ID = "frame_id"  #: poses come out, and the images' frame_id is no name of a frame
+    STAMPS = "stamps"  #: poses come out, and the images' stamps do not rise, or are of another clock
+    SIZE = "size"  #: poses come out, and a target is implausibly far for its width
 
 
 @dataclass(frozen=True, slots=True)

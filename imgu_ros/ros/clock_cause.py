@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rclpy.node import Node
 
 from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.meters import LatencyMeter
 
 #: A /clock of 10 Hz that has not moved for so long stands still.
 _STOPPED_S = 1.0
+#: No image is worked on so late.
+_OTHER_CLOCK_S = 60.0
+
+
+def other_clock(node: Node, ages: LatencyMeter) -> Iterator[Cause]:
+    """Yield that the images' stamps are not of the clock that use_sim_time makes the node follow.
+
+    Without it, stamps of another clock are those of a recording, which is played as it was.
+
+    Parameters
+    ----------
+    node : whose clock it is
+    ages : from an image's stamp to its results, by that clock
+    """
+    middle = ages.percentiles_ms((50.0,))
+    if not middle or not node.get_parameter("use_sim_time").value or abs(middle[0]) / 1e3 < _OTHER_CLOCK_S:
+        return
+    side = "behind" if middle[0] > 0 else "ahead of"
+    said = f"stamps of the images are {abs(middle[0]) / 1e3:.0f} s {side} /clock: they are of another clock"
+    yield Cause(Kind.STAMPS, f"{said}; give the driver use_sim_time as well, or set it to false here", "other_clock")
 
 
 class ClockWatch:

@@ -11,15 +11,28 @@ from rclpy.node import Node
 from imgu_ros.codec.diagnostics import HealthEntry, Level
 from imgu_ros.perception.result import PoseStatus, Result
 from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.clock_cause import other_clock
 from imgu_ros.ros.input import ImageInput
-from imgu_ros.ros.input_causes import camera_info_causes, image_causes
+from imgu_ros.ros.input_causes import camera_info_causes, header_causes, image_causes
+from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.worker import Worker
 
 #: A target may be out of view, and a calibration late, for so long.
 _PATIENCE_S = 1.5
 
 _OF_INPUT = frozenset(
-    (Kind.NO_PUBLISHER, Kind.WRONG_TYPE, Kind.QOS, Kind.LOST, Kind.SILENT, Kind.REJECTED, Kind.UNPAIRED, Kind.CLOCK)
+    (
+        Kind.NO_PUBLISHER,
+        Kind.WRONG_TYPE,
+        Kind.QOS,
+        Kind.LOST,
+        Kind.SILENT,
+        Kind.REJECTED,
+        Kind.UNPAIRED,
+        Kind.CLOCK,
+        Kind.FRAME_ID,
+        Kind.STAMPS,
+    )
 )
 _OF_CAMERA = frozenset((Kind.UNCALIBRATED, Kind.UNPAIRED))
 
@@ -76,14 +89,23 @@ def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> 
         return [Cause(Kind.PAUSED, "paused: call ~/pause with false to go on")]
     misfits = list(state.misfits)
     if not state.listened:
-        return misfits or [Cause(Kind.IDLE, "idle: no subscribers")]
+        return misfits or [Cause(Kind.IDLE, f"idle: no subscribers in {domain_text(node)}")]
     on_the_way = list(image_causes(node, source, now))
     stopped = [] if state.stopped_clock is None else [state.stopped_clock]
     if on_the_way and on_the_way[0].kind is not Kind.LOST:
         # A player that has not begun sends neither images nor time.
         return [*stopped, *on_the_way, *misfits]
     frames = [Cause(Kind.FRAMES, state.frames)] if state.frames else []
-    return [*_of_frames(node, source, worker, now), *frames, *on_the_way, *stopped, *misfits]
+    return [
+        *_of_frames(node, source, worker, now),
+        *frames,
+        *on_the_way,
+        *stopped,
+        *misfits,
+        *header_causes(source, "" if worker.parameters is None else worker.parameters.frames.camera),
+        *other_clock(node, worker.age),
+        *(Cause(Kind.SIZE, text, name) for name, text in list(worker.sizes.warnings.items())),
+    ]
 
 
 def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
@@ -95,7 +117,7 @@ def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> It
         return
     last = worker.last
     if last is None:
-        yield Cause(Kind.WAITING, "waiting for the first frame")
+        yield Cause(Kind.WAITING, f"waiting for images on {source.topics.image} ({domain_text(node)})")
         return
     if not any(target.status.found for target in last.targets):
         yield from _not_seen(last, source, worker, now)

@@ -13,6 +13,7 @@ from rclpy.subscription import Subscription
 from imgu_ros.bags.decoding import message_from_cdr
 from imgu_ros.bags.messages import typestore
 from imgu_ros.codec.header import decode_header
+from imgu_ros.codec.header_checks import HeaderChecks
 from imgu_ros.codec.image import data_bytes
 from imgu_ros.codec.pairing import Pair, Pairing
 from imgu_ros.errors import BagError
@@ -69,6 +70,7 @@ class ImageInput:
     counters : lost messages and incompatible QoS
     unreadable : why the last image message could not be read; "" when it could
     topics : what is subscribed
+    headers : what is odd about the headers of images and camera_info, since the topics were subscribed last
     group : of the subscriptions' callbacks
     """
 
@@ -79,6 +81,7 @@ class ImageInput:
         self.counters = QosCounters()
         self.unreadable = ""
         self.topics = input_topics(node, transport)
+        self.headers = HeaderChecks(self.topics.image, self.topics.camera_info)
         self.group = MutuallyExclusiveCallbackGroup()
         self._node = node
         for type_name in (self.topics.image_type, CAMERA_INFO_TYPE):
@@ -123,6 +126,7 @@ class ImageInput:
             return
         self._unmatched_before += self._pairing.unmatched
         self._pairing = Pairing()
+        self.headers = HeaderChecks(self.topics.image, self.topics.camera_info)
         self._opened_s = time.monotonic()
         # The small topic first: its subscription should be ready when the first image comes.
         self._camera_info = self._node.create_subscription(
@@ -193,6 +197,7 @@ class ImageInput:
             self._warned_of_size = True
             for warning in large_message_warnings(len(data_bytes(message))):
                 self._node.get_logger().warning(warning)
+        self.headers.add_image(message)
         stamp_ns = decode_header(message).stamp_ns
         self._hand_over(self._pairing.add_image(stamp_ns, Job(message, None, now)))
 
@@ -201,6 +206,7 @@ class ImageInput:
         if message is None:
             return
         self.infos.tick(time.monotonic())
+        self.headers.add_camera_info(message)
         self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
 
     def _read(self, topic: str, type_name: str, data: bytes) -> tuple[Any | None, str]:

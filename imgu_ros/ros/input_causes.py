@@ -9,7 +9,8 @@ from rclpy.node import Node
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.input import ImageInput
 from imgu_ros.ros.middleware import against_loss
-from imgu_ros.ros.offers import why_not_offered
+from imgu_ros.ros.offers import is_latched, why_not_offered
+from imgu_ros.ros.reach import another_user
 
 #: Nodes on one machine find each other within this time.
 _DISCOVERY_S = 1.0
@@ -22,6 +23,8 @@ _FEWEST_LOST = 5
 #: So many images in a row without a camera_info of their stamp are no accident.
 _UNPAIRED = 5
 _SECOND_NS = 1e9
+#: No delay is as long.
+_OTHER_CLOCK_S = 60.0
 
 
 def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
@@ -37,7 +40,7 @@ def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause
             return
     lost = source.counters.lost_lately(now_s)
     if silent_s >= max(_SILENCE_S, _usual_silence_s(source, now_s)):
-        yield _silence(source, silent_s, lost, now_s)
+        yield _silence(node, source, silent_s, lost, now_s)
     elif lost >= _FEWEST_LOST and lost > _LOSS * (lost + source.arrivals.recent(now_s)):
         came = source.arrivals.recent(now_s)
         share = f"{lost} of the last {lost + came} images on {source.topics.image}"
@@ -52,14 +55,28 @@ def camera_info_causes(node: Node, source: ImageInput, now_s: float) -> Iterator
     if pairing.last_info_ns is None:
         cause = why_not_offered(node, source.wanted_camera_info())
         text = cause.text if cause is not None else f"nothing comes on {topic}, although it has a publisher"
+        if cause is None and is_latched(node, topic):
+            kept = f"qos_overrides.{topic}.subscription"
+            text += (
+                f"; it is sent once and kept (transient_local): set {kept}.reliability to reliable and "
+                f"{kept}.durability to transient_local"
+            )
         yield Cause(Kind.UNCALIBRATED, f"no camera_info on {topic}: {text}")
     elif pairing.misses_in_a_row >= _UNPAIRED and source.infos.recent(now_s) > 1:
         image_s, info_s = (pairing.last_image_ns or 0) / _SECOND_NS, pairing.last_info_ns / _SECOND_NS
+        clocks = "" if abs(image_s - info_s) < _OTHER_CLOCK_S else ": of different clocks"
         yield Cause(
             Kind.UNPAIRED,
             f"stamps of {topic} and {source.topics.image} do not pair ({pairing.misses_in_a_row} images in a row; "
-            f"latest {info_s:.3f} s and {image_s:.3f} s): the nearest camera_info is used; need equal stamps",
+            f"latest {info_s:.3f} s and {image_s:.3f} s{clocks}): the nearest camera_info is used; need equal stamps",
         )
+
+
+def header_causes(source: ImageInput, camera_frame: str) -> Iterator[Cause]:
+    """Yield what is odd about the headers of the images that come; `camera_frame` is the parameter `frames.camera`."""
+    for oddity, text in source.headers.told(camera_frame, lately=True).items():
+        kind = Kind.FRAME_ID if oddity.is_about_frames else Kind.STAMPS
+        yield Cause(kind, text, oddity.value)
 
 
 def _usual_silence_s(source: ImageInput, now_s: float) -> float:
@@ -68,7 +85,7 @@ def _usual_silence_s(source: ImageInput, now_s: float) -> float:
     return _INTERVALS / rate_hz if rate_hz else 0.0
 
 
-def _silence(source: ImageInput, silent_s: float, lost: int, now_s: float) -> Cause:
+def _silence(node: Node, source: ImageInput, silent_s: float, lost: int, now_s: float) -> Cause:
     said = f"no images on {source.topics.image} for {silent_s:.0f} s"
     # Images far too large for the shared memory never arrive, so that nothing else tells their size.
     if lost:
@@ -77,4 +94,7 @@ def _silence(source: ImageInput, silent_s: float, lost: int, now_s: float) -> Ca
     if infos_hz:
         there = f"{source.topics.camera_info} comes at {infos_hz:.0f} Hz"
         return Cause(Kind.LOST, f"{said}, while {there}: they may get lost on the way; {against_loss()}")
-    return Cause(Kind.SILENT, f"{said}, although it has a publisher: does the camera run?")
+    hint = another_user(node.get_publishers_info_by_topic(source.topics.image))
+    return Cause(
+        Kind.SILENT, f"{said}, although it has a publisher: does the camera run?{f' If so, {hint}' if hint else ''}"
+    )

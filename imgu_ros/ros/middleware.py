@@ -125,7 +125,7 @@ def large_message_warnings(message_bytes: int) -> list[str]:
 
 def against_loss() -> str:
     """Return what to do when messages are lost on the way to this process."""
-    if not _is_fast_dds():
+    if not is_fast_dds():
         return "give the middleware larger buffers, or send smaller images"
     if _ours() is None and not _choice_of_the_user():
         if _fitting() is None:
@@ -145,6 +145,11 @@ def shared_memory() -> SharedMemory | None:
     return SharedMemory(figures.f_blocks * figures.f_frsize, figures.f_bavail * figures.f_frsize)
 
 
+def is_fast_dds() -> bool:
+    """Return whether the middleware is Fast DDS, ROS 2's default."""
+    return (os.environ.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+
+
 def _fitting() -> Profile | None:
     memory = shared_memory()
     if memory is None:
@@ -158,12 +163,12 @@ def _fitting() -> Profile | None:
 def _ours() -> Profile | None:
     """Return the profile of this package that is set."""
     files = {os.path.basename(os.environ.get(name, "")) for name in _VARIABLES}
-    return next((profile for profile in PROFILES if profile.name in files), None) if _is_fast_dds() else None
+    return next((profile for profile in PROFILES if profile.name in files), None) if is_fast_dds() else None
 
 
 def _choice_of_the_user() -> str:
     """Return what the user has chosen instead; "" for nothing."""
-    if not _is_fast_dds():
+    if not is_fast_dds():
         return f"none, RMW_IMPLEMENTATION is {os.environ['RMW_IMPLEMENTATION']}"
     for name in _VARIABLES:
         if os.environ.get(name):
@@ -193,7 +198,3 @@ def _too_little_memory() -> str:
     least = PROFILES[-1]
     need = f"need {least.least_total_bytes / 1e6:.0f} MB, {least.segment_bytes * _OVERHEAD / 1e6:.0f} MB free ({_ROOM})"
     return f"{_SHARED_MEMORY} has {memory.total / 1e6:.0f} MB, {memory.free / 1e6:.0f} MB free; {need}"
-
-
-def _is_fast_dds() -> bool:
-    return (os.environ.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp").startswith("rmw_fastrtps")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
 
 from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.reach import domain_text, elsewhere
 
 #: Of the topics on the graph so many are looked at, the most alike first, and so many named.
 _MOST_LOOKED_AT = 12
@@ -19,6 +19,7 @@ _MOST_NAMED = 3
 #: Names at least so alike are worth naming although their type is another.
 _ALIKE = 0.6
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_IMAGES = ("sensor_msgs/msg/Image", _COMPRESSED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,13 @@ def why_not_served(node: Node, publishers: Iterable[Any]) -> list[Cause]:
     return causes
 
 
+def is_latched(node: Node, topic: str) -> bool:
+    """Return whether every publisher of a topic keeps its last messages for subscribers that ask for them."""
+    endpoints = node.get_publishers_info_by_topic(topic)
+    kept = [e.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for e in endpoints]
+    return bool(kept) and all(kept)
+
+
 def similar_topics(node: Node, topic: str, type_name: str) -> list[Offer]:
     """Return the topics that others publish and that may be meant: those of the type first, the most alike first."""
     known = [Offer(name, tuple(types)) for name, types in node.get_topic_names_and_types() if name != topic]
@@ -92,15 +100,27 @@ def similar_topics(node: Node, topic: str, type_name: str) -> list[Offer]:
 
 
 def _instead(node: Node, wanted: Wanted) -> str:
+    for transport, topic in _of_another_transport(wanted):
+        if any(endpoint.topic_type in _IMAGES for endpoint in node.get_publishers_info_by_topic(topic)):
+            return f"{topic} has one: set image_transport to {transport}"
     similar = similar_topics(node, wanted.topic, wanted.type_name)
     same = [offer.topic for offer in similar if wanted.type_name in offer.types]
     if same:
         return f"{wanted.type_name} is on {', '.join(same)}: remap with -r {wanted.remapped}:={same[0]}"
-    nobody = f"nobody publishes {wanted.type_name} in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}"
+    nobody = f"nobody publishes {wanted.type_name} in {domain_text(node)}"
     if not similar:
-        return f"{nobody}: is the camera's driver running?"
+        hint = elsewhere(node)
+        return f"{nobody}: is the camera's driver running?{f' {hint[0].upper()}{hint[1:]}' if hint else ''}"
     others = ", ".join(f"{offer.topic} ({', '.join(offer.types)})" for offer in similar)
     return f"{nobody}; similar names: {others}{_hint_of_type(wanted, [t for offer in similar for t in offer.types])}"
+
+
+def _of_another_transport(wanted: Wanted) -> Iterator[tuple[str, str]]:
+    """Yield the other transport under which the same images may be there, and the topic that it has then."""
+    if wanted.type_name == _COMPRESSED and wanted.topic.endswith("/compressed"):
+        yield "raw", wanted.topic.removesuffix("/compressed")
+    elif wanted.type_name in _IMAGES:
+        yield "compressed", f"{wanted.topic}/compressed"
 
 
 def _hint_of_type(wanted: Wanted, types: Sequence[str]) -> str:

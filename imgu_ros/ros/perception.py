@@ -17,6 +17,7 @@ from imgu_ros.ros.input import ImageInput, Job
 from imgu_ros.ros.managed_node import ManagedNode, run_managed
 from imgu_ros.ros.offers import why_not_served
 from imgu_ros.ros.outputs import Outputs
+from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.worker import Handlers, Worker
 
@@ -82,7 +83,9 @@ class PerceptionNode(ManagedNode[ImageInput]):
         self._explainer.begin()
         self._remarks = Remarks()
         names = ", ".join(target.name for target in self._worker.targets) or "none (set targets.images)"
-        self.get_logger().info(f"targets: {names}; images from {self._input.topics.image} when somebody listens")
+        self.get_logger().info(
+            f"targets: {names}; images from {self._input.topics.image} when somebody listens ({domain_text(self)})"
+        )
 
     def _adopt(self, built: Built) -> None:
         """Look for these targets from now on, and have a publisher for each of their topics."""
@@ -141,7 +144,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
         for line in self._remarks.news((*result.camera_remarks, *unusable)):
             self.get_logger().warning(line)
         now_ns = self.get_clock().now().nanoseconds
-        if now_ns:
+        if now_ns and result.frame.stamp_ns:
             self._worker.age.add((now_ns - result.frame.stamp_ns) / 1e9)
 
     def _on_rejected(self, result: Result) -> None:

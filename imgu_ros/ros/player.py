@@ -29,6 +29,7 @@ from imgu_ros.ros.pace import Pace
 from imgu_ros.ros.play_report import PlayReport, Span
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
+from imgu_ros.ros.reach import domain_text, elsewhere
 from imgu_ros.ros.stopping import Stopped, StopSignal
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -181,11 +182,12 @@ class _Player:
             if bound is not None and now - started >= bound:
                 if wanted:
                     raise BagError(
-                        f"subscribers on {', '.join(images)}: {self._matched(images)} after {bound:g} s; need {wanted}"
+                        f"subscribers on {', '.join(images)}: {self._matched(images)} after {bound:g} s; need {wanted} "
+                        f"({domain_text(self._node)}{self._elsewhere()})"
                     )
                 return
             if wanted and now >= remind:
-                have = f"{self._matched(images)} of {wanted}"
+                have = f"{self._matched(images)} of {wanted} ({domain_text(self._node)}{self._elsewhere()})"
                 hint = " (`imgu node` subscribes once somebody listens to what it publishes)"
                 self._say(f"waiting for subscribers on {', '.join(images)}: {have}{hint}")
                 remind = now + _REMIND_S
@@ -196,6 +198,10 @@ class _Player:
         while infos and not self._matched(infos) and time.monotonic() < until:
             self._sleep(_POLL_S)
         self._sleep(_SETTLE_S)
+
+    def _elsewhere(self) -> str:
+        hint = elsewhere(self._node)
+        return f"; {hint}" if hint else ""
 
     def _matched(self, topics: Sequence[str]) -> int:
         return sum(self._publishers[topic].get_subscription_count() for topic in topics)

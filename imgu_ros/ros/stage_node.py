@@ -17,6 +17,7 @@ from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.qos import no_events, output_qos
+from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.stage import Stage
 from imgu_ros.ros.stage_health import StageFigures, StageState, stage_health
 from imgu_ros.ros.stage_input import StageInput, StageJob
@@ -87,7 +88,7 @@ class StageNode(ManagedNode[StageInput]):
 
     def _begin(self) -> None:
         taken = ", ".join(feed.topic for feed in self._input.topics.feeds)
-        self.get_logger().info(f"{self._stage.name}: takes {taken} when somebody listens")
+        self.get_logger().info(f"{self._stage.name}: takes {taken} when somebody listens ({domain_text(self)})")
 
     def _made_input(self) -> StageInput:
         topics = self._stage.topics(self, self._server.parameters)

@@ -18,6 +18,7 @@ from imgu_ros.perception.building import Built, build
 from imgu_ros.perception.chain import rejected_targets
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result
+from imgu_ros.perception.size_checks import SizeChecks
 from imgu_ros.perception.targets import Target, TargetImage
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.meters import LatencyMeter, RateMeter
@@ -96,6 +97,7 @@ class Worker:
     latency : from the delivery of an image to the end of publishing its results
     age : from an image's stamp to its results, by the node's clock
     sought : what was looked for in vain
+    sizes : widths of targets that cannot be
     """
 
     def __init__(self, slot: NewestSlot[Job], parameters: Callable[[], Parameters], handlers: Handlers) -> None:
@@ -103,6 +105,7 @@ class Worker:
         self.latency = LatencyMeter()
         self.age = LatencyMeter()
         self.sought = Sought()
+        self.sizes = SizeChecks(())
         self._slot = slot
         self._parameters = parameters
         self._handlers = handlers
@@ -168,6 +171,7 @@ class Worker:
             if self._built is not None:
                 built.chain.continue_from(self._built.chain)
             self._built = built
+            self.sizes = SizeChecks(built.targets)
             self._last = None
             self.sought.clear()
 
@@ -255,6 +259,7 @@ class Worker:
         self._last = result
         now = time.monotonic()
         self.sought.add(result, now)
+        self.sizes.add(result)
         if self._closing:
             return
         self._handlers.result(result, job)
