@@ -105,6 +105,8 @@ class PathHistory:
     def add(self, stamp_ns: int, camera_from_target: Pose) -> Any | None:
         """Add the camera's pose; return the nav_msgs/Path when one is due, else None."""
         if self._last_ns is not None and stamp_ns < self._last_ns - _PATH_PERIOD_NS:
+            if stamp_ns == 0:
+                return None  # no stamp, or the first of a recording that begins anew: the next one tells
             self.clear()
         self._last_ns = stamp_ns
         make, header = self._make, Header(stamp_ns, self.target_frame)

@@ -46,6 +46,7 @@ class HeaderChecks:
         self._last_seen: dict[Oddity, int] = {}
         self._details: dict[Oddity, str] = {}
         self._last_ns: int | None = None
+        self._before_zero: int | None = None
         self._frame_id: str | None = None
 
     @property
@@ -62,21 +63,7 @@ class HeaderChecks:
             self._note(Oddity.SLASH, frame_id)
         if not frame_name(frame_id):
             self._note(Oddity.NO_FRAME, frame_id)
-        stamp_ns = decode_header(message).stamp_ns
-        last_ns, self._last_ns = self._last_ns, stamp_ns
-        if stamp_ns == 0:
-            # A simulation may begin at 0.
-            if last_ns == 0 or Oddity.ZERO in self._counts:
-                self._note(Oddity.ZERO, "")
-        elif last_ns is None or stamp_ns > last_ns:
-            return
-        elif stamp_ns == last_ns:
-            self._note(Oddity.REPEATED, f"first at {stamp_ns} ns")
-        else:
-            back_s = (last_ns - stamp_ns) / 1e9
-            self._note(
-                Oddity.JUMP if back_s > _JUMP_NS / 1e9 else Oddity.FALLING, f"by {back_s:.6g} s at {stamp_ns} ns"
-            )
+        self._look_at_stamp(decode_header(message).stamp_ns)
 
     def add_camera_info(self, message: Any) -> None:
         """Look at the next camera_info."""
@@ -99,6 +86,29 @@ class HeaderChecks:
             and not (camera_frame and oddity.is_about_frames)
             and not (lately and self._images - self._last_seen[oddity] >= _FORGOTTEN)
         }
+
+    def _look_at_stamp(self, stamp_ns: int) -> None:
+        last_ns, before_zero = self._last_ns, self._before_zero
+        self._last_ns, self._before_zero = stamp_ns, None
+        if stamp_ns == 0:
+            # A recording may begin at 0, or begin anew there: what follows tells.
+            if last_ns == 0 or Oddity.ZERO in self._counts:
+                self._note(Oddity.ZERO, "")
+            else:
+                self._before_zero = last_ns
+            return
+        if before_zero is not None:
+            if stamp_ns >= before_zero - _JUMP_NS:
+                self._note(Oddity.ZERO, "")
+            last_ns = before_zero
+        if last_ns is None or stamp_ns > last_ns:
+            return
+        if stamp_ns == last_ns:
+            self._note(Oddity.REPEATED, f"first at {stamp_ns} ns")
+        else:
+            back_ns = last_ns - stamp_ns
+            kind = Oddity.JUMP if back_ns > _JUMP_NS else Oddity.FALLING
+            self._note(kind, f"by {back_ns / 1e9:.6g} s at {stamp_ns} ns")
 
     def _note(self, oddity: Oddity, detail: str) -> None:
         self._counts[oddity] = self._counts.get(oddity, 0) + 1

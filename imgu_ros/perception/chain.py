@@ -39,7 +39,8 @@ class Chain:
     """From raw frames to poses of known targets.
 
     Frames are expected in the order of time; the tracker remembers where targets were. Stamps that jump back by more
-    than a second (a recording played in a loop) make it forget: the frames that follow are those of a new chain.
+    than a second (a recording played in a loop) make it forget: the frames that follow are those of a new chain. A
+    single stamp of 0 among others is none: the tracks go on after it.
 
     Parameters
     ----------
@@ -58,6 +59,7 @@ class Chain:
         self._frames_without_search = 0
         self._searches = 0
         self._last_ns: int | None = None
+        self._before_zero: tuple[int, list[Track | None], list[Sighting | None]] | None = None
         self.reset()
 
     @property
@@ -79,6 +81,7 @@ class Chain:
         self._frames_without_search = 0
         self._searches = 0
         self._last_ns = None
+        self._before_zero = None
         self._calibration.reset()
 
     def continue_from(self, before: Chain) -> None:
@@ -110,9 +113,7 @@ class Chain:
         with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
         development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
         """
-        if self._last_ns is not None and frame.stamp_ns < self._last_ns - JUMP_NS:
-            self.reset()
-        self._last_ns = frame.stamp_ns
+        self._look_at_stamp(frame.stamp_ns)
         development = development or develop_frame(frame, self._parameters)
         clock = StageClock()
         clock.times_ns[Stage.DEVELOP] = development.took_ns
@@ -130,6 +131,19 @@ class Chain:
             times_ns=clock.times_ns,
             total_ns=time.perf_counter_ns() - start,
         )
+
+    def _look_at_stamp(self, stamp_ns: int) -> None:
+        """Forget what was before a jump back in time, or remember what was before a frame without a stamp."""
+        before, last_ns = self._before_zero, self._last_ns
+        self._before_zero = None
+        if last_ns is not None and stamp_ns < last_ns - JUMP_NS:
+            tracks, seen = self._tracks, self._seen
+            self.reset()
+            if stamp_ns == 0:
+                self._before_zero = (last_ns, tracks, seen)
+        elif before is not None and stamp_ns >= before[0] - JUMP_NS:
+            _, self._tracks, self._seen = before
+        self._last_ns = stamp_ns
 
     def _worked(
         self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int

@@ -10,7 +10,7 @@ from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.input import ImageInput
 from imgu_ros.ros.middleware import against_loss
 from imgu_ros.ros.offers import is_latched, why_not_offered
-from imgu_ros.ros.reach import another_user
+from imgu_ros.ros.reach import another_user, has_no_names
 
 #: Nodes on one machine find each other within this time.
 _DISCOVERY_S = 1.0
@@ -94,7 +94,9 @@ def _silence(node: Node, source: ImageInput, silent_s: float, lost: int, now_s: 
     if infos_hz:
         there = f"{source.topics.camera_info} comes at {infos_hz:.0f} Hz"
         return Cause(Kind.LOST, f"{said}, while {there}: they may get lost on the way; {against_loss()}")
-    hint = another_user(node.get_publishers_info_by_topic(source.topics.image))
-    return Cause(
-        Kind.SILENT, f"{said}, although it has a publisher: does the camera run?{f' If so, {hint}' if hint else ''}"
-    )
+    publishers = node.get_publishers_info_by_topic(source.topics.image)
+    nameless = has_no_names(publishers)
+    # Who has heard of the camera can hear it.
+    why = another_user(nameless) if nameless or not source.arrivals.count else ""
+    question = "" if nameless and why else "does the camera run?"
+    return Cause(Kind.SILENT, f"{said}, although it has a publisher: {' '.join(filter(None, (question, why)))}")

@@ -74,31 +74,34 @@ def other_domains(own: int, table: Path = _UDP) -> list[int]:
     return sorted(domains - {own})
 
 
-def another_user(publishers: Sequence[Any]) -> str:
-    """Return why nothing comes of publishers that were found, when their process is likely another user's.
+def has_no_names(endpoints: Sequence[Any]) -> bool:
+    """Return whether endpoints are known, and the name of none of their nodes: it comes the way that messages come."""
+    return bool(endpoints) and all(endpoint.node_name == _NO_NAME for endpoint in endpoints)
+
+
+def another_user(nameless: bool) -> str:
+    """Return why nothing comes of a publisher that was found, when its process is likely another user's.
 
     Fast DDS sends within a machine by shared memory, and its files belong to the user who made them: publisher and
     subscriber find each other by UDP, and nothing else arrives, not even the name of the publisher's node.
 
     Parameters
     ----------
-    publishers : endpoints, as the graph tells them
+    nameless : whether not even the name of its node has come
 
     Returns
     -------
     str
         Empty where another middleware is used.
     """
-    if not is_fast_dds() or not publishers:
+    if not is_fast_dds():
         return ""
-    # The name comes the way that messages come.
-    nameless = all(endpoint.node_name == _NO_NAME for endpoint in publishers)
-    cause = "its process most likely runs" if nameless else "else its process may run"
+    guess = "not even its node's name arrives, so it most likely runs" if nameless else "if it does, it may run"
     found = foreign_users()
-    users = f" (here is one of {', '.join(found[:_MOST_NAMED])})" if found else ""
-    evidence = "not even its node's name arrives: " if nameless else ""
+    # Files that an ended process has left are another user's as well, and block as much (eProsima/Fast-DDS#3535).
+    users = f" ({_SHARED_MEMORY} has fastrtps files of {', '.join(found[:_MOST_NAMED])})" if found else ""
     return (
-        f"{evidence}{cause} as another user or in another container{users}, whose shared memory this one cannot use; "
+        f"{guess} as another user or in another container{users}, whose shared memory this process cannot use: "
         f"run both as the same user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 in both{_transports_note()}"
     )
 

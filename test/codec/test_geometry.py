@@ -97,6 +97,13 @@ def test_path_goes_out_although_no_frame_has_a_stamp(make):
     assert due == [0, 30, 60, 90]
 
 
+def test_path_survives_a_single_frame_without_a_stamp(make):
+    history = PathHistory(make, "poster", 1000)
+    for stamp_ns in (50, 51, 0, 52):
+        path = history.add(stamp_ns * SECOND_NS, some_pose())
+    assert [decode_header(p).stamp_ns // SECOND_NS for p in path.poses] == [50, 51, 52]
+
+
 def test_path_of_another_length_keeps_the_latest(make):
     history = PathHistory(make, "poster", 10)
     for n in range(8):

@@ -33,6 +33,8 @@ def test_usual_headers_are_not_odd() -> None:
     ("stamps_ns", "oddity", "said"),
     [
         ((0, 0, 0), Oddity.ZERO, "are 0 in 2 of 3 images"),
+        ((7 * 10**9, 0, 8 * 10**9), Oddity.ZERO, "are 0 in 1 of 3 images"),
+        ((7 * 10**9, 0, 10**8), Oddity.JUMP, "jump back in 1 of 3 images (first by 6.9 s at 100000000 ns)"),
         ((5, 5, 6, 6), Oddity.REPEATED, "are repeated in 2 of 4 images (first at 5 ns)"),
         ((10**9, 10**9 - 1000), Oddity.FALLING, "fall in 1 of 2 images (first by 1e-06 s at 999999000 ns)"),
         ((9 * 10**9, 10**9), Oddity.JUMP, "jump back in 1 of 2 images (first by 8 s at 1000000000 ns)"),

@@ -251,6 +251,16 @@ def test_frames_without_stamps_are_tracked(one_target_frames: Frames, targets: T
         assert corner_error(result.homography.H, expected.homography.H, targets[0].size, size) < 0.1
 
 
+def test_one_frame_without_a_stamp_costs_no_track(one_target_frames: Frames, targets: Targets) -> None:
+    """As some simulators send it now and then."""
+    chain = Chain(Parameters(), targets[:1])
+    frames = [replace(s.frame, stamp_ns=0 if i == 4 else s.frame.stamp_ns) for i, s in enumerate(one_target_frames)]
+    statuses = [chain.process(frame).targets[0].status for frame in frames]
+    expected = [Status.TRACKED] * len(frames)
+    expected[0] = expected[4] = Status.DETECTED
+    assert statuses == expected
+
+
 def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
     """The simulated sensor is linear, as a raw one, and the targets' pictures are sRGB: said so, errors are smaller."""
     images = default_targets(1)

@@ -15,6 +15,7 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 
 from std_srvs.srv import SetBool
 
+from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
 from imgu_ros.ros.messages import make_message
@@ -77,6 +78,10 @@ def test_every_cause_is_named(imgu, world, peer, make_camera):
     node.wait_for_line("targets: poster")
     peer.wait(lambda: peer.heard["/diagnostics"], "diagnostics")
     assert "idle" not in node.text
+    # The domain is said before anybody listens.
+    assert f"(ROS domain {peer.context.get_domain_id()}" in node.text
+    assert any(f"idle: no subscribers in ROS domain {peer.context.get_domain_id()}" in s.message
+               for m in peer.heard["/diagnostics"] for s in m.status)  # fmt: skip
     late = peer.publisher("/late", IMAGE, image_qos())
     peer.hear("/pose", POSE)
     peer.wait(peer.has_publishers, "discovery")
@@ -89,7 +94,9 @@ def test_every_cause_is_named(imgu, world, peer, make_camera):
     peer.node.destroy_publisher(wrong)
 
     camera = make_camera(peer)
-    ear.hears("no images on /cam/image_raw for", "although it has a publisher")
+    # A publisher that brings nothing: idle, or another user's, whose shared memory this process cannot use.
+    ear.hears("no images on /cam/image_raw for", "although it has a publisher: does the camera run?", "as another user",
+              "run both as the same user, or set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 in both")  # fmt: skip
     # Only now somebody has subscribed to be served.
     frame = world.frames[0]
     ear.hears("uncalibrated: no camera_info on /cam/camera_info", "nothing comes", "no poses",
@@ -138,6 +145,47 @@ def test_every_cause_is_named(imgu, world, peer, make_camera):
         f"uncalibrated: {why}" for why in ("no camera_info", "camera_info: K is all", "camera_info: K [nan")
     ]
     for part in ("no publisher on", *uncalibrated, "do not pair", "target not seen", "paused: "):
+        assert node.text.count(part) == 1, node.text
+    assert "Traceback" not in node.text
+
+
+def test_oddities_beside_which_poses_come_out(imgu, world, peer):
+    """Headers, a width in centimetres, camera_info that is sent once: each is said once, and poses come out."""
+    node = imgu("node", "perception", "-p", f"targets.images:=[{world.target}]", "-p", "targets.widths_m:=[50.0]",
+                "-r", "image_raw:=/cam/image_raw")  # fmt: skip
+    ear = Ear(node, peer)
+    images = peer.publisher("/cam/image_raw", IMAGE, image_qos())
+    once = peer.publisher("/cam/camera_info", INFO, latched_qos())
+    node.wait_for_line("targets: poster")
+    peer.hear("/pose", POSE)
+    frame = world.frames[0]
+    once.publish(camera_info_message(make_message, Header(1, "eye"), frame.camera))
+
+    def send(stamp_ns: int, frame_id: str) -> None:
+        images.publish(image_message(make_message, Header(stamp_ns, frame_id), frame.image.pixels, "bayer_rggb8"))
+
+    ear.hears("no camera_info on /cam/camera_info", "sent once and kept (transient_local)",
+              "set qos_overrides./cam/camera_info.subscription.reliability to reliable",
+              again=lambda: send(time.time_ns(), "eye"))  # fmt: skip
+    peer.node.destroy_publisher(once)
+    infos = peer.publisher("/cam/camera_info", INFO, image_qos())
+
+    def both(stamp_ns: int, frame_id: str, info_frame: str) -> None:
+        infos.publish(camera_info_message(make_message, Header(stamp_ns, info_frame), frame.camera))
+        send(stamp_ns, frame_id)
+
+    ear.hears("frame_id of /cam/camera_info: 'base', of /cam/image_raw: 'eye'; the images' goes out",
+              again=lambda: both(time.time_ns(), "eye", "base"))  # fmt: skip
+    ear.hears("targets.widths_m 50: poster would be 50 m wide", "did you mean 0.5 (50 cm)")
+    ear.hears("frame_id of /cam/image_raw: '/eye'; tf2 refuses a leading slash: 'eye' goes out",
+              again=lambda: both(time.time_ns(), "/eye", "/eye"))  # fmt: skip
+    peer.heard["/pose"].clear()
+    ear.hears("stamps of /cam/image_raw are 0 in", "have the driver stamp its images",
+              again=lambda: both(0, "/eye", "/eye"))  # fmt: skip
+    peer.wait(lambda: peer.heard["/pose"], "poses of images without stamps")
+    assert {m.header.frame_id for m in peer.heard["/pose"]} == {"eye"}
+    ear.hears("frame_id of /cam/image_raw is empty", "set frames.camera", again=lambda: both(time.time_ns(), "", ""))
+    for part in ("widths_m 50", "'base'", "'/eye'", "are 0 in", "is empty", "sent once and kept"):
         assert node.text.count(part) == 1, node.text
     assert "Traceback" not in node.text
 

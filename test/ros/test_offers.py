@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from imgu_ros.ros.cause import Kind
 from imgu_ros.ros.messages import message_class
-from imgu_ros.ros.offers import Wanted, similar_topics, why_not_offered, why_not_served
+from imgu_ros.ros.offers import Wanted, is_latched, similar_topics, why_not_offered, why_not_served
 from imgu_ros.ros.qos import image_qos, latched_qos, output_qos
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -87,3 +87,29 @@ def test_quality_of_service_on_either_side(nodes):
     assert cause.kind is Kind.LISTENER
     assert "listener /asking of /b cannot be served" in cause.text
     assert "set qos_overrides./b.publisher.durability to transient_local" in cause.text
+
+
+@pytest.mark.parametrize(
+    ("wanted", "type_name", "there", "of_type", "transport"),
+    [
+        ("/cam/image_raw", IMAGE, "/cam/image_raw/compressed", COMPRESSED, "compressed"),
+        ("/cam/image_raw/compressed", COMPRESSED, "/cam/image_raw", IMAGE, "raw"),
+    ],
+)
+def test_the_same_images_under_another_transport(nodes, wanted, type_name, there, of_type, transport):
+    """They are meant, not the images of another camera."""
+    asking, driver = nodes
+    publish(driver, "/other/image_raw", type_name)
+    publish(driver, there, of_type)
+    until(lambda: asking.get_publishers_info_by_topic(there) and similar_topics(asking, wanted, type_name))
+    cause = why_not_offered(asking, Wanted(wanted, type_name, image_qos(), "image_raw"))
+    assert cause is not None and cause.kind is Kind.NO_PUBLISHER
+    assert cause.text == f"no publisher on {wanted}; {there} has one: set image_transport to {transport}"
+
+
+def test_what_is_kept_for_late_subscribers(nodes):
+    asking, driver = nodes
+    publish(driver, "/kept", qos=latched_qos())
+    publish(driver, "/gone")
+    until(lambda: asking.get_publishers_info_by_topic("/kept") and asking.get_publishers_info_by_topic("/gone"))
+    assert is_latched(asking, "/kept") and not is_latched(asking, "/gone") and not is_latched(asking, "/none")
