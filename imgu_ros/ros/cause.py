@@ -38,11 +38,20 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Why nothing comes out: what it is, one line of words with what to do, and whether it is logged elsewhere."""
+    """Why nothing comes out.
+
+    Attributes
+    ----------
+    kind : what it is
+    text : one line of words, with what to do
+    is_logged : whether it is logged elsewhere
+    case : which of its kind it is, when several can hold at once
+    """
 
     kind: Kind
     text: str
     is_logged: bool = False
+    case: str = ""
 
 
 #: What every node does for a while, or was asked to do; and what is logged where it happens.
@@ -50,21 +59,22 @@ _NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED, Kind.FRAMES))
 
 
 class CauseLog:
-    """Tells which causes are new, so that the log has each of them once.
+    """Tells which causes are new, so that the log has each kind, and each case of it, once.
 
     A cause is told again when it comes back after a minute without it.
     """
 
     def __init__(self) -> None:
-        self._seen_s: dict[Kind, float] = {}
+        self._seen_s: dict[tuple[Kind, str], float] = {}
 
     def news(self, causes: Iterable[Cause], now_s: float) -> Iterator[Cause]:
         """Yield the causes that the log has not heard of; `now_s` is monotonic."""
         for cause in causes:
             if cause.kind in _NOT_LOGGED or cause.is_logged:
                 continue
-            last_s = self._seen_s.get(cause.kind)
-            self._seen_s[cause.kind] = now_s
+            key = (cause.kind, cause.case)
+            last_s = self._seen_s.get(key)
+            self._seen_s[key] = now_s
             if last_s is None or now_s - last_s > _FORGOTTEN_S:
                 yield cause
 

@@ -30,7 +30,9 @@ def other_clock(node: Node, ages: LatencyMeter) -> Iterator[Cause]:
         return
     side = "behind" if middle[0] > 0 else "ahead of"
     said = f"stamps of the images are {abs(middle[0]) / 1e3:.0f} s {side} /clock: they are of another clock"
-    yield Cause(Kind.STAMPS, f"{said}; give the driver use_sim_time as well, or set it to false here", "other_clock")
+    yield Cause(
+        Kind.STAMPS, f"{said}; give the driver use_sim_time as well, or set it to false here", case="other_clock"
+    )
 
 
 class ClockWatch:

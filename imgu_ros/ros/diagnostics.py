@@ -104,7 +104,7 @@ def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> 
         *misfits,
         *header_causes(source, "" if worker.parameters is None else worker.parameters.frames.camera),
         *other_clock(node, worker.age),
-        *(Cause(Kind.SIZE, text, name) for name, text in list(worker.sizes.warnings.items())),
+        *(Cause(Kind.SIZE, text, case=name) for name, text in list(worker.sizes.warnings.items())),
     ]
 
 

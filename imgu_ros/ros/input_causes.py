@@ -76,7 +76,7 @@ def header_causes(source: ImageInput, camera_frame: str) -> Iterator[Cause]:
     """Yield what is odd about the headers of the images that come; `camera_frame` is the parameter `frames.camera`."""
     for oddity, text in source.headers.told(camera_frame, lately=True).items():
         kind = Kind.FRAME_ID if oddity.is_about_frames else Kind.STAMPS
-        yield Cause(kind, text, oddity.value)
+        yield Cause(kind, text, case=oddity.value)
 
 
 def _usual_silence_s(source: ImageInput, now_s: float) -> float:

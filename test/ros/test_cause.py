@@ -19,3 +19,11 @@ def test_each_cause_is_news_once_and_again_after_a_minute_without_it():
     assert list(log.news([NOBODY], 320.0)) == [NOBODY]
     log.clear()
     assert list(log.news([NOBODY], 320.5)) == [NOBODY]
+
+
+def test_cases_of_one_kind_are_told_apart():
+    log = CauseLog()
+    zero, falling = (Cause(Kind.STAMPS, text, case=text) for text in ("are 0", "fall"))
+    assert list(log.news([zero], 0.0)) == [zero]
+    assert list(log.news([zero, falling], 1.0)) == [falling]
+    assert not list(log.news([zero, falling], 2.0))
