@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from imgu_ros.errors import ImguError
 from imgu_ros.files.parameter_files import parameter_file_bytes
@@ -24,6 +25,8 @@ def unheeded_parameters(ros_arguments: Sequence[str], node_name: str) -> list[st
             if kind == "value":
                 given.add_override(text)
                 continue
+            if not Path(text).is_file():
+                continue  # a pipe, which rcl has emptied
             sections = given.add_file(parameter_file_bytes(text), text)
             if not any(section_applies(section, node_name) for section in sections):
                 found = ", ".join(dict.fromkeys(sections)) or "no node"

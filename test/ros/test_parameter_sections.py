@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from imgu_ros.ros.parameter_sections import unheeded_parameters
@@ -55,3 +57,9 @@ def test_rcl_decides_what_a_file_means(tmp_path):
     file.write_bytes(b"\xff")
     assert unheeded_parameters(["--ros-args", "--params-file", str(file)], "/perception") == []
     assert unheeded_parameters(["--ros-args", "--params-file", str(tmp_path / "gone.yaml")], "/perception") == []
+
+
+def test_a_pipe_is_not_read_again(tmp_path):
+    """`--params-file <(...)`: a second reader would wait for a writer."""
+    os.mkfifo(tmp_path / "pipe")
+    assert unheeded_parameters(["--ros-args", "--params-file", str(tmp_path / "pipe")], "/perception") == []
