@@ -37,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, default=Path("camera_info.yaml"), metavar="YAML", help="default: %(default)s"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every number, with the covariance, to FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the residuals into FILE (PNG, SVG, PDF)")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="draw the residuals into FILE (PNG, SVG, PDF, EPS)"
+    )
     parser.add_argument("--name", default="camera", help="the camera's name in the YAML; default: %(default)s")
     parser.add_argument("--topic", metavar="NAME", help="image topic of a bag; default: the first")
     parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="image files are Bayer mosaics")

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every number to FILE")
     parser.add_argument(
         "--draw", type=Path, metavar="FILE",
-        help="write the image with the find drawn over to FILE; .svg and .pdf: drawn as vectors",
+        help="write the image with the find drawn over to FILE; .svg, .pdf, .eps and .ps: drawn as vectors",
     )  # fmt: skip
     parser.add_argument(
         "--warp", type=Path, metavar="FILE",

@@ -1,8 +1,9 @@
-"""Vector figures, SVG and PDF: a raster picture with lines, dots and text over it that scale without artefacts."""
+"""Vector figures (SVG, PDF, PostScript): lines, dots and text over a raster picture, that scale without artefacts."""
 
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +19,17 @@ from imgu_ros.errors import FileError
 from imgu_ros.types import Image, Points, as_image, as_points
 
 #: Suffixes of vector formats.
-VECTOR_SUFFIXES = (".svg", ".pdf")
+VECTOR_SUFFIXES = (".svg", ".pdf", ".eps", ".ps")
 
+_POSTSCRIPT = (".eps", ".ps")
 _DPI = 72  # a pixel of the picture is one point of the figure, and an inch has 72 of these
 _INK = "black"
 _DARKENING = 0.65  # of the strip behind the text
 _SETTINGS: Any = {
     "svg.fonttype": "none",  # text stays text
     "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+    "ps.papersize": "figure",  # a page as large as the figure
     "svg.hashsalt": "imgu",  # the same figure, the same bytes
     "path.simplify": False,
 }
@@ -46,7 +50,9 @@ class VectorFigure:
 
     def __init__(self, picture: Image) -> None:
         picture = as_image(picture, "picture", (3,), (np.uint8,))
+        self._picture = picture
         self._height, self._width = (int(side) for side in picture.shape[:2])
+        self._strips: list[Rectangle] = []
         self._figure = Figure(figsize=(self._width / _DPI, self._height / _DPI), dpi=_DPI)
         # Pixels are squares about their centres: the picture reaches from -0.5 to W - 0.5.
         left, right, top, bottom = -0.5, self._width - 0.5, -0.5, self._height - 0.5
@@ -82,12 +88,11 @@ class VectorFigure:
         """Write lines in their colours, top left, on a darkened strip; what does not fit the width is cut."""
         size = max(8.0, max(self._height, self._width) / 60)
         spacing, margin = 1.5 * size, 0.3 * size
-        self._axes.add_patch(
-            Rectangle(
-                (-0.5, -0.5), self._width, spacing * len(lines) + margin, facecolor=_INK, alpha=_DARKENING, linewidth=0,
-                zorder=self._on_top(),
-            )
+        strip = Rectangle(
+            (-0.5, -0.5), self._width, spacing * len(lines) + margin, facecolor=_INK, alpha=_DARKENING, linewidth=0,
+            zorder=self._on_top(),
         )  # fmt: skip
+        self._strips.append(self._axes.add_patch(strip))
         for row, (text, color) in enumerate(lines):
             self._axes.text(
                 margin, spacing * (row + 0.75) + margin / 2, _fitting(text, size, self._width - 2 * margin),
@@ -100,18 +105,44 @@ class VectorFigure:
         return self._layer
 
     def save(self, path: Path | str) -> None:
-        """Write the figure; the suffix, .svg or .pdf, chooses the format. The same figure gives the same bytes.
+        """Write the figure; the suffix, one of `VECTOR_SUFFIXES`, chooses the format; .eps and .ps are PostScript.
+
+        The same figure gives the same bytes.
 
         Raises
         ------
         FileError
             If the suffix is another one, or the file cannot be written.
         """
-        save_figure(self._figure, path)
+        if Path(path).suffix.lower() not in _POSTSCRIPT:
+            save_figure(self._figure, path)
+            return
+        # What lies under a strip shows through: the darkened picture itself, for PostScript knows no transparency.
+        shown = [self._darkened(strip) for strip in self._strips]
+        for strip in self._strips:
+            strip.set_visible(False)
+        try:
+            save_figure(self._figure, path)
+        finally:
+            for strip, image in zip(self._strips, shown, strict=True):
+                strip.set_visible(True)
+                image.remove()
+
+    def _darkened(self, strip: Rectangle) -> Any:
+        """Draw the picture's rows under a strip as they look through it."""
+        rows = min(self._height, max(1, round(strip.get_height())))
+        pixels = np.rint(self._picture[:rows] * (1 - _DARKENING)).astype(np.uint8)
+        extent = (-0.5, self._width - 0.5, rows - 0.5, -0.5)
+        image = self._axes.imshow(pixels, extent=extent, interpolation="none", aspect="auto", zorder=strip.get_zorder())
+        self._axes.set_xlim(-0.5, self._width - 0.5)
+        self._axes.set_ylim(self._height - 0.5, -0.5)
+        return image
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write any Matplotlib figure as .svg or .pdf; the same figure gives the same bytes.
+    """Write any Matplotlib figure as .svg, .pdf, .eps or .ps; the same figure gives the same bytes.
+
+    PostScript knows no transparency: what is transparent in the figure is opaque there.
 
     Raises
     ------
@@ -122,13 +153,40 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     suffix = path.suffix.lower()
     if suffix not in VECTOR_SUFFIXES:
         raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(VECTOR_SUFFIXES)}")
-    content = io.BytesIO()
-    with mpl.rc_context(_SETTINGS):
-        figure.savefig(content, format=suffix[1:], metadata={"Date" if suffix == ".svg" else "CreationDate": None})
+    content = _postscript(figure, suffix[1:]) if suffix in _POSTSCRIPT else _dated(figure, suffix[1:])
     try:
-        path.write_bytes(content.getvalue())
+        path.write_bytes(content)
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+
+
+def _dated(figure: Figure, kind: str) -> bytes:
+    """Return the figure as SVG or PDF, which have a date of their own unless they are told otherwise."""
+    content = io.BytesIO()
+    with mpl.rc_context(_SETTINGS):
+        figure.savefig(content, format=kind, metadata={"Date" if kind == "svg" else "CreationDate": None})
+    return content.getvalue()
+
+
+def _postscript(figure: Figure, kind: str) -> bytes:
+    transparent = [artist for artist in figure.findobj() if artist.get_alpha() is not None]
+    alphas = [artist.get_alpha() for artist in transparent]
+    content = io.BytesIO()
+    try:
+        for artist in transparent:
+            artist.set_alpha(None)
+        with mpl.rc_context(_SETTINGS):
+            figure.savefig(content, format=kind)
+    finally:
+        for artist, alpha in zip(transparent, alphas, strict=True):
+            artist.set_alpha(alpha)
+    written = re.sub(rb"^%%CreationDate: .*\n", b"", content.getvalue(), count=1, flags=re.MULTILINE)
+    if kind == "ps":
+        # Matplotlib leaves it to the printer: what is larger than its paper would be cut.
+        width, height = (_DPI * side for side in figure.get_size_inches())
+        setup = f"%%BeginSetup\n<< /PageSize [{width:g} {height:g}] >> setpagedevice\n%%EndSetup\n".encode()
+        written = re.sub(rb"^(?=%%Page: 1 1$)", setup, written, count=1, flags=re.MULTILINE)
+    return written
 
 
 def _rgb(color: tuple[int, int, int]) -> tuple[float, float, float]:

@@ -11,10 +11,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from imgu_ros.errors import FileError
+from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, save_figure
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.calibration import Calibration
 
-SUFFIXES = (".png", ".svg", ".pdf")
+SUFFIXES = (".png", *VECTOR_SUFFIXES)
 _BLUE, _ORANGE, _RED = "#0072b2", "#e69f00", "#d55e00"
 _BINS = 12
 #: How long the RMS residual is drawn, as a share of the picture's diagonal.
@@ -26,7 +27,6 @@ _STYLE: Any = {
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "legend.frameon": False,
-    "svg.hashsalt": "imgu",
 }
 
 
@@ -39,7 +39,7 @@ def draw_calibration(path: Path, calibration: Calibration, corners: Sequence[Poi
 
     Parameters
     ----------
-    path : .png, .svg or .pdf
+    path : .png, .svg, .pdf, .eps or .ps
     calibration : what to draw
     corners : of every view that went into `calibrate`, (N, 2) px
 
@@ -57,9 +57,11 @@ def draw_calibration(path: Path, calibration: Calibration, corners: Sequence[Poi
         _draw_radial(figure.add_subplot(grid[0, 1]), calibration, corners)
         _draw_histogram(figure.add_subplot(grid[1, 1]), calibration)
         _draw_views(figure.add_subplot(grid[2, 1]), calibration)
-        metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
+        if path.suffix.lower() in VECTOR_SUFFIXES:
+            save_figure(figure, path)
+            return
         try:
-            figure.savefig(path, dpi=110, metadata=metadata)
+            figure.savefig(path, dpi=110)
         except OSError as error:
             raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
 

@@ -27,7 +27,7 @@ STATUS_COLORS = {
 }
 
 #: Those of `files/vector_figure.py`, which loads Matplotlib.
-VECTOR_SUFFIXES = (".svg", ".pdf")
+VECTOR_SUFFIXES = (".svg", ".pdf", ".eps", ".ps")
 
 _AXES = ((230, 40, 40), (40, 200, 40), (60, 110, 255))  # x red, y green, z blue, as in RViz
 _INLIER = (255, 230, 60)
@@ -55,7 +55,7 @@ def draw_result(result: Result) -> Image:
 
 
 def write_overlay(path: Path | str, result: Result) -> None:
-    """Write what `draw_result` draws to a file; into .svg and .pdf as vectors over the embedded frame.
+    """Write what `draw_result` draws to a file; into .svg, .pdf, .eps and .ps as vectors over the embedded frame.
 
     Raises
     ------

@@ -187,7 +187,7 @@ def test_bad_input_is_one_line(pictures: Path, tmp_path: Path, capsys: pytest.Ca
         ([*views, "--board", "2x5"], "need 3 to 100"),
         ([*views, "--out", tmp_path / "no" / "c.yaml"], "its folder does not exist"),
         ([*views, "--out", tmp_path], "a folder"),
-        ([*views, "--picture", tmp_path / "r.xyz"], "need one of .png, .svg, .pdf"),
+        ([*views, "--picture", tmp_path / "r.xyz"], "need one of .png, .svg, .pdf, .eps, .ps"),
         ([*views, "-p", "no.such:=1"], "no.such"),
     ]
     for index, (arguments, expected) in enumerate(cases):

@@ -58,7 +58,9 @@ def test_homography_pose_json_and_drawing(scene: Path, tmp_path: Path, capsys: p
     assert read_image(tmp_path / "m.png").shape == (480, 640, 3)
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"), (".jpg", b"\xff\xd8")])
+@pytest.mark.parametrize(
+    ("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"), (".eps", b"%!PS"), (".jpg", b"\xff\xd8")]
+)
 def test_drawn_in_other_formats(scene: Path, tmp_path: Path, suffix: str, start: bytes) -> None:
     path = tmp_path / f"m{suffix}"
     assert main(["match", str(scene / "poster.png"), str(scene / "view.png"), "--draw", str(path)]) == 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
+import subprocess
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +17,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from imgu_ros.errors import FileError, ShapeError
-from imgu_ros.files.vector_figure import VectorFigure, save_figure
+from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, VectorFigure, save_figure
 
 SVG = "{http://www.w3.org/2000/svg}"
 HREF = "{http://www.w3.org/1999/xlink}href"
@@ -97,7 +99,7 @@ def test_text_is_cut_to_the_width(tmp_path: Path, length: int) -> None:
     assert all(len(text) < 60 for text in shown)
 
 
-@pytest.mark.parametrize("suffix", [".svg", ".pdf"])
+@pytest.mark.parametrize("suffix", VECTOR_SUFFIXES)
 def test_the_same_figure_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     for name in "ab":
         figure().save(tmp_path / f"{name}{suffix}")
@@ -119,6 +121,68 @@ def test_pdf(tmp_path: Path) -> None:
     assert re.search(rb"63\.75 0\.375 l", streams)
 
 
+def rasters(content: bytes) -> list[np.ndarray]:
+    """The raster pictures of a PostScript file, rows upwards as PostScript has them, by its own numbers."""
+    head = rb"(\d+) (\d+) 8 \[ [^\]]* \]\n\{\ncurrentfile DataString readhexstring pop\n\} bind false 3 colorimage\n"
+    found = re.findall(head + rb"([0-9a-f\s]*)", content)
+    return [
+        np.frombuffer(bytes.fromhex(data.decode()), np.uint8)[: int(w) * int(h) * 3].reshape(int(h), int(w), 3)
+        for w, h, data in found
+    ]
+
+
+@pytest.mark.parametrize("suffix", [".eps", ".ps"])
+def test_postscript(tmp_path: Path, suffix: str) -> None:
+    figure().save(tmp_path / f"a{suffix}")
+    content = (tmp_path / f"a{suffix}").read_bytes()
+    assert content.startswith(b"%!PS-Adobe-3.0 EPSF-3.0\n" if suffix == ".eps" else b"%!PS-Adobe-3.0\n")
+    assert b"%%BoundingBox: 0 0 64 48\n" in content
+    # A page of its own size, which an encapsulated file must not have.
+    assert (b"<< /PageSize [64 48] >> setpagedevice" in content) == (suffix == ".ps")
+    assert b"CreationDate" not in content
+    # y points up: (63.25, 47.125) is drawn at (63.75, 48 - 47.625).
+    assert re.search(rb"\n63\.75 0\.375 l\n", content)
+    whole, strip = rasters(content)
+    assert any(np.array_equal(rows, PICTURE) for rows in (whole, whole[::-1]))
+    # PostScript knows no transparency: under the text lies the picture, darkened.
+    dark = np.rint(0.35 * PICTURE[: len(strip)]).astype(np.uint8)
+    assert 8 <= len(strip) < 48 and any(np.array_equal(rows, dark) for rows in (strip, strip[::-1]))
+
+
+def test_the_other_formats_are_as_before_after_postscript(tmp_path: Path) -> None:
+    drawn = figure()
+    drawn.save(tmp_path / "a.svg")
+    drawn.save(tmp_path / "a.eps")
+    drawn.save(tmp_path / "b.svg")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+@pytest.mark.skipif(shutil.which("gs") is None, reason="no Ghostscript")
+@pytest.mark.parametrize("suffix", [".eps", ".ps"])
+def test_ghostscript_renders_postscript_as_pdf(tmp_path: Path, suffix: str) -> None:
+    pictures = []
+    for name in ("a.pdf", f"a{suffix}"):
+        figure().save(tmp_path / name)
+        command = ["gs", "-q", "-dSAFER", "-dBATCH", "-dNOPAUSE", "-dEPSCrop", "-sDEVICE=png16m", "-r72"]
+        subprocess.run([*command, f"-sOutputFile={tmp_path / name}.png", str(tmp_path / name)], check=True, timeout=60)
+        picture = cv2.imread(str(tmp_path / f"{name}.png"))
+        assert picture is not None
+        pictures.append(picture.astype(int))
+    assert pictures[0].shape == pictures[1].shape == (48, 64, 3)
+    # The strip's lowest row is whole or missing, and the picture is noise: other pictures are 85 apart.
+    assert float(np.abs(pictures[0] - pictures[1]).mean()) < 8
+
+
+def test_a_transparent_plot_is_opaque_in_postscript_and_says_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plot = Figure()
+    (line,) = plot.subplots().plot([1, 2], [3, 5], alpha=0.5)
+    save_figure(plot, tmp_path / "plot.eps")
+    assert (tmp_path / "plot.eps").read_bytes().startswith(b"%!PS")
+    assert line.get_alpha() == 0.5 and caplog.records == []
+
+
 def test_a_plot_of_any_kind(tmp_path: Path) -> None:
     plot = Figure()
     plot.subplots().plot([1, 2], [3, 5])
@@ -131,7 +195,7 @@ def test_what_cannot_be_drawn_or_written(tmp_path: Path) -> None:
         VectorFigure(PICTURE.astype(np.float32))
     with pytest.raises(ShapeError, match="points"):
         figure().line(np.array([[np.nan, 0]]), RED)
-    with pytest.raises(FileError, match=r"suffix '.png'; need one of .svg, .pdf"):
+    with pytest.raises(FileError, match=r"suffix '.png'; need one of .svg, .pdf, .eps, .ps"):
         figure().save(tmp_path / "a.png")
     with pytest.raises(FileError, match="need a place that can be written"):
         figure().save(tmp_path / "none" / "a.svg")

@@ -100,13 +100,14 @@ def test_as_vectors(make_result, tmp_path: Path) -> None:
     assert "30 points agree" in text
 
 
-@pytest.mark.parametrize("suffix", [".svg", ".pdf"])
+@pytest.mark.parametrize("suffix", [".svg", ".pdf", ".eps", ".ps"])
 @pytest.mark.parametrize("status", Status)
 def test_every_status_as_vectors(make_result, tmp_path: Path, suffix: str, status: Status) -> None:
     write_overlay(tmp_path / f"a{suffix}", make_result(status=status, reason="" if status.found else "so and so"))
     content = (tmp_path / f"a{suffix}").read_bytes()
-    assert content.startswith(b"%PDF" if suffix == ".pdf" else b"<?xml")
-    assert status.found or suffix == ".pdf" or b"so and so" in content
+    start = {".svg": b"<?xml", ".pdf": b"%PDF", ".eps": b"%!PS", ".ps": b"%!PS"}[suffix]
+    assert content.startswith(start)
+    assert status.found or suffix != ".svg" or b"so and so" in content
 
 
 def test_a_bent_outline_as_vectors(make_result, tmp_path: Path) -> None:
@@ -122,5 +123,5 @@ def test_written_as_a_raster_picture(make_result, tmp_path: Path) -> None:
     result = make_result()
     write_overlay(tmp_path / "a.png", result)
     assert np.array_equal(read_image(tmp_path / "a.png"), draw_result(result))
-    with pytest.raises(FileError, match=r"suffix '.xyz'; need one of .png.*, .svg, .pdf"):
+    with pytest.raises(FileError, match=r"suffix '.xyz'; need one of .png.*, .svg, .pdf, .eps, .ps"):
         write_overlay(tmp_path / "a.xyz", result)
