@@ -8,7 +8,7 @@ NOT_IN_VIEW = "not in view, too small, blurred or covered"
 NOT_DUE = "not looked for in this frame, while others are in view (tracking.search_every)"
 UNLIKELY = f"{NOT_IN_VIEW} (fewer of its keypoints than of other targets)"
 NO_CAMERA_INFO = "no calibration: there is no camera_info"
-NO_SIZE = "its printed width is not known (targets.widths_m is 0 for it)"
+NO_SIZE = "its printed width is not known, need targets.widths_m (0 for this target)"
 
 
 def why_not_found(error: EstimationError, matches: int, agreeing: int, needed: int) -> str:
@@ -50,7 +50,7 @@ def unusable_frame(why: str) -> str:
 def why_ambiguous(ratio: float, limit: float) -> str:
     """Return why there is no pose where both planar solutions fit: `ratio` of their errors, `limit` for a pose."""
     return (
-        "two poses fit alike, as of a target that is far away or seen straight on "
+        "two poses fit alike, need a view from nearer or more from the side "
         f"(ratio of their errors {ratio:.2f}, at most {limit:g} for a pose)"
     )
 

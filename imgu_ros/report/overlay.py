@@ -220,7 +220,7 @@ def _status_text(target: TargetResult) -> str:
         parts.append(f"{np.linalg.norm(target.pose.t):.3f} m +- {sigma_mm:.2g} mm")
     elif target.pose_status is not PoseStatus.NONE:
         parts.append(target.pose_status.value.replace("_", " "))
-    if target.reason and not target.status.found:
+    if target.reason:
         parts.append(target.reason)
     return "  ".join(parts)
 

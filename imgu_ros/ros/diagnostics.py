@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from imgu_ros.codec.diagnostics import HealthEntry, Level
-from imgu_ros.perception.result import PoseStatus, Result
+from imgu_ros.perception.result import Result
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.clock_cause import other_clock
 from imgu_ros.ros.input import ImageInput
@@ -123,7 +123,7 @@ def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> It
         yield from _not_seen(last, source, worker, now)
     elif all(target.pose is None for target in last.targets) and last.frame.camera is not None:
         first = next(target for target in last.targets if target.status.found)
-        yield Cause(Kind.NO_POSE, f"{first.name}: {_POSE_WORDS.get(first.pose_status) or first.reason}")
+        yield Cause(Kind.NO_POSE, f"{first.name}: {first.reason}")
     if last.frame.camera is None and source.open_s(now) > _PATIENCE_S:
         yield from _uncalibrated(last, node, source, now)
     else:
@@ -159,12 +159,6 @@ def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> I
         return
     for cause in camera_info_causes(node, source, now):
         yield Cause(cause.kind, f"uncalibrated: {cause.text}; homographies, no poses")
-
-
-_POSE_WORDS = {
-    PoseStatus.AMBIGUOUS: "ambiguous: two poses fit alike; need a view from nearer or more from the side",
-    PoseStatus.NO_SIZE: "no size: set targets.widths_m for a metric pose",
-}
 
 
 def _output(name: str, state: NodeState, found: Sequence[Cause], worker: Worker, now: float) -> HealthEntry:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -55,6 +56,8 @@ def message_class(type_name: str) -> Any:
         If the package is not installed, or has no such message.
     """
     package, _, name = type_name.partition("/msg/")
+    if not _TYPE_NAME.fullmatch(type_name):
+        raise ImguError(f"{type_name!r}: no name of a ROS 2 message; need package/msg/Name")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except ImportError as error:
@@ -64,6 +67,7 @@ def message_class(type_name: str) -> Any:
         raise ImguError(f"{type_name}: {package} has no message {name!r}; need an existing message") from None
 
 
+_TYPE_NAME = re.compile(r"[a-zA-Z]\w*/msg/[A-Z]\w*", re.ASCII)
 _HINTS = {
     "tf2_msgs": "pip does not have it: install it with ROS (apt install ros-jazzy-tf2-msgs) and source the setup file",
 }

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -149,7 +150,8 @@ class _Player:
                 continue
             try:
                 publisher = self._node.create_publisher(kind, topic, _qos(topic), qos_overriding_options=overridable())
-            except (ValueError, RuntimeError) as error:  # a name that ROS 2 refuses, a QoS override that it cannot read
+            # A name that ROS 2 refuses, as other recorders write them, or a QoS override that it cannot read.
+            except (NameValidationException, ValueError, RuntimeError) as error:
                 self._skip(topic, " ".join(str(error).split()))
                 continue
             self._publishers[topic] = publisher
@@ -164,7 +166,7 @@ class _Player:
         try:
             return message_class(type_name)
         except ImguError:
-            self._skip(topic, f"{type_name} is not installed")
+            self._skip(topic, f"{type_name} is not installed" if type_name else "its type is not known")
             return None
 
     def _skip(self, topic: str, reason: str) -> None:

@@ -30,6 +30,7 @@ from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.reasons import NO_SIZE, NOT_DUE, NOT_IN_VIEW, UNLIKELY, why_not_found
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.report.overlay import _status_text
 from imgu_ros.simulate.sequence import default_camera
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.types import Image
@@ -119,7 +120,7 @@ KINDS = {
         "detected",
         "ambiguous",
         (
-            "two poses fit alike, as of a target that is far away or seen straight on "
+            "two poses fit alike, need a view from nearer or more from the side "
             "(ratio of their errors N, at most 1e-06 for a pose)"
         ),
     ),
@@ -146,6 +147,7 @@ def test_each_kind_is_said_in_the_users_terms_everywhere(kind, tmp_path: Path) -
     states = ", ".join(filter(None, (status, pose_status)))
     assert entry.message == f"{states}: {target.reason}"
     assert document(result)["reason"] == target.reason
+    assert target.reason in _status_text(target)  # of the debug image
 
 
 def test_found_with_a_pose_says_nothing() -> None:

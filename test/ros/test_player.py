@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sqlite3
 import time
 from pathlib import Path
 
@@ -117,6 +119,40 @@ def test_part_of_a_bag_faster_remapped_and_again(imgu, peer, tmp_path, prompt_s)
     assert play.stop() < prompt_s
     assert play.process.returncode == 0
     assert "Traceback" not in play.text
+
+
+def test_topics_that_ros_does_not_know_stop_nothing(imgu, peer, tmp_path):
+    """Names and types as other recorders write them (Foxglove's JSON channels, Latin-1); the images are played."""
+    with BagWriter(tmp_path / "bag", "sqlite3") as bag:
+        for index in range(5):
+            pixels = np.full((48, 64), index, np.uint8)
+            header = Header(START_NS + index * PERIOD_NS, "camera")
+            bag.write("/cam/image_raw", image_message(make_message, header, pixels, "mono8"), header.stamp_ns)
+    (path,) = (tmp_path / "bag").glob("*.db3")
+    odd = [
+        ("/json", "", "json"),
+        ("/proto", "foxglove.CompressedImage", "protobuf"),
+        ("/gr\xf6\xdfe", "std_msgs/msg/String", "cdr"),
+        ("/a b", "std_msgs/msg/String", "cdr"),
+        ("/1a", "std_msgs/msg/String", "cdr"),
+        ("no slash//", "std_msgs/msg/String", "cdr"),
+        ("/up", "../msg/X", "cdr"),
+    ]
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        (columns,) = database.execute("SELECT COUNT(*) FROM pragma_table_info('topics')").fetchone()
+        for identity, (name, kind, encoding) in enumerate(odd, 100):
+            row = (identity, name.encode("latin-1"), kind, encoding, *[""] * (columns - 4))
+            database.execute(f"INSERT INTO topics VALUES({', '.join('?' * columns)})", row)
+            database.execute("INSERT INTO messages VALUES(NULL, ?, ?, ?)", (identity, START_NS, b"{}\0\0\0\0\0\0"))
+        database.commit()
+    peer.hear("/cam/image_raw", IMAGE)
+    play = imgu("play", str(path), "--wait-for", "1")
+    peer.wait(lambda: len(peer.heard["/cam/image_raw"]) == 5 or play.process.poll() is not None, "all images")
+    assert play.wait() == 0, play.text
+    assert "Traceback" not in play.text
+    assert "skipping /json: its type is not known" in play.text
+    assert "skipping /gr\xf6\xdfe: " in play.text
+    assert play.text.count("skipping ") == len(odd)
 
 
 def test_waiting_for_subscribers_is_bounded_and_can_be_stopped(imgu, tmp_path, prompt_s):
