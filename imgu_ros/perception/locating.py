@@ -20,8 +20,9 @@ from imgu_ros.perception.result import Stage, Status, TargetMatches, TargetResul
 from imgu_ros.perception.targets import Target
 from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.estimation.ransac import Score, ransac
-from imgu_ros.vision.projective.estimate import fit_homography
+from imgu_ros.vision.estimation.ransac import ransac
+from imgu_ros.vision.estimation.search import Score
+from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.minimal import HomographyModel
 from imgu_ros.vision.projective.transform import faces_camera
 

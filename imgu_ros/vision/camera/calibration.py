@@ -23,7 +23,7 @@ from imgu_ros.vision.camera.planar_pose import planar_pose_starts
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.view_choice import without_copies
 from imgu_ros.vision.estimation.nonlinear import Minimum, minimise
-from imgu_ros.vision.projective.estimate import require_spread
+from imgu_ros.vision.projective.fit import require_spread
 
 FEWEST_VIEWS = 3
 #: Focal lengths that are tried, as shares of the picture's longer side: 127 to 13 degrees of view.

@@ -27,7 +27,7 @@ from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import minimise
-from imgu_ros.vision.projective.estimate import require_spread
+from imgu_ros.vision.projective.fit import require_spread
 
 #: A second solution is refuted when it starts with this many times the first one's error.
 _REFUTED = 5.0

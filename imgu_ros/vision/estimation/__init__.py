@@ -20,6 +20,10 @@ Every `Minimum` tells its iterations, and `propagated_covariance` turns it into 
 fits the most promising hypotheses of each batch by weight, draws again where a sample gives no hypothesis, and so
 finds few inliers among many wrong matches, at several times the cost. It depends less on the threshold.
 
+**Chance.** Wrong data agree with some hypothesis, too. A model that can tell how likely they do (`ChanceModel`: all of
+this package) lets `ransac` refuse what they explain; that depends on how many there are, how near each other they lie,
+the threshold, and how many hypotheses were tried, none of which a fixed number of inliers knows.
+
 **PROSAC** (`sampler="prosac"`) takes points sorted best first, samples the best before the others, and stops by the
 share of inliers among the best: often within its first 16 samples where uniform sampling takes thousands.
 
@@ -30,7 +34,14 @@ In the chain: `homography.sampler`, `homography.score`, `homography.threshold_px
 Notes: 7.1 to 7.3 and 7.5, 7.6; Hartley & Zisserman 2004, chapters 4 and 5, appendices 5 and 6.
 """
 
-from imgu_ros.vision.estimation.covariance import propagated_covariance, window_correlation
+from imgu_ros.vision.estimation.chance import (
+    Agreement,
+    ChanceModel,
+    binomial_tail,
+    pair_probability,
+    shares_of_places,
+)
+from imgu_ros.vision.estimation.covariance import propagated_covariance, selection_efficiency, window_correlation
 from imgu_ros.vision.estimation.directions import DirectionsModel, align_directions
 from imgu_ros.vision.estimation.line import LineEstimate, LineModel, fit_line
 from imgu_ros.vision.estimation.linear import (
@@ -42,10 +53,13 @@ from imgu_ros.vision.estimation.linear import (
 )
 from imgu_ros.vision.estimation.losses import cauchy, huber, tukey
 from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Linearisation, Minimiser, Minimum, minimise
-from imgu_ros.vision.estimation.ransac import Consensus, RobustModel, Score, WeightedModel, iterations_needed, ransac
+from imgu_ros.vision.estimation.ransac import Consensus, iterations_needed, ransac
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
+from imgu_ros.vision.estimation.search import RobustModel, Score, WeightedModel
 
 __all__ = [
+    "Agreement",
+    "ChanceModel",
     "Consensus",
     "DirectionsModel",
     "LeastSquaresProblem",
@@ -60,6 +74,7 @@ __all__ = [
     "Score",
     "WeightedModel",
     "align_directions",
+    "binomial_tail",
     "cauchy",
     "draw_samples",
     "fit_line",
@@ -68,9 +83,12 @@ __all__ = [
     "iterations_needed",
     "least_squares",
     "minimise",
+    "pair_probability",
     "propagated_covariance",
     "ransac",
+    "selection_efficiency",
     "shape_of",
+    "shares_of_places",
     "total_least_squares",
     "tukey",
     "window_correlation",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imgu_ros.arguments import as_number, require_type
@@ -11,6 +13,9 @@ from imgu_ros.vision.estimation.nonlinear import Minimum
 
 #: Correlations are -1 to 1, save for rounding.
 _LARGEST = 1.001
+#: Squared thresholds, in units of 2 sigma^2, between which an efficiency is sought; the least that is told.
+_FULLEST_U, _EMPTIEST_U = 0.01, 100.0
+_LEAST_EFFICIENCY = 0.3
 
 
 def propagated_covariance(minimum: Minimum, noise: float | None = None, correlation: Floats | None = None) -> Floats:
@@ -71,6 +76,46 @@ def window_correlation(xy: Floats, side: float) -> Floats:
         raise ShapeError(f"side, xy: {side!r}; need places in a picture, and a side above 0")
     x, y = (np.maximum(1 - np.abs(np.subtract.outer(c, c)) / side, 0) for c in np.ascontiguousarray(xy.T))
     return np.asarray(x * y, np.float64)
+
+
+def selection_efficiency(mean_square: float, threshold: float) -> float:
+    """Return how certain a fit to the errors within a threshold is, beside what its residuals tell, 0.3 to 1.
+
+    The covariance from the residuals is to be divided by its square. Of plane Gaussian errors of variance
+    sigma^2, those within t have the variance k sigma^2, with k = 1 - u e^-u / (1 - e^-u) and u = t^2 / (2 sigma^2).
+    As points enter and leave with the fit, it is less certain by k again (the asymptotic variance of a skipped mean:
+    Huber 1981, section 3.2). Errors that fill the circle tell nothing of sigma: below 0.3 it stays 0.3.
+
+    Parameters
+    ----------
+    mean_square : of the lengths of the errors within the threshold, after the fit's degrees of freedom
+    threshold : > 0
+
+    Raises
+    ------
+    ShapeError
+        If the mean square is negative or no number, or the threshold not positive.
+
+    Examples
+    --------
+    >>> round(selection_efficiency(1.9, 3.0), 2)  # sigma 1, threshold 3: a hundredth of the errors are beyond
+    0.95
+    """
+    mean_square, threshold = as_number(mean_square, "mean_square"), as_number(threshold, "threshold")
+    if not (0 <= mean_square < math.inf and 0 < threshold < math.inf):
+        raise ShapeError(f"mean_square, threshold: {mean_square!r}, {threshold!r}; need >= 0 and > 0")
+    wanted = mean_square / threshold**2
+    low, high = _FULLEST_U, _EMPTIEST_U
+    if wanted <= _kept_variance(high) / high:
+        return 1.0
+    for _ in range(40):
+        u = math.sqrt(low * high)
+        low, high = (u, high) if _kept_variance(u) / u > wanted else (low, u)
+    return max(_kept_variance(low), _LEAST_EFFICIENCY)
+
+
+def _kept_variance(u: float) -> float:
+    return 1 - u * math.exp(-u) / -math.expm1(-u)
 
 
 def _inverse(normal: Floats) -> Floats:

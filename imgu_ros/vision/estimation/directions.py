@@ -24,7 +24,7 @@ def align_directions(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None =
     Parameters
     ----------
     src, dst : (N, 3), N >= 2, of any length but 0
-    weights : (N,) >= 0; None: all 1
+    weights : (N,) >= 0; None: all 1. Directions of weight 0 change nothing, be they 0 themselves
 
     Returns
     -------
@@ -44,14 +44,16 @@ def align_directions(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None =
     >>> align_directions([[1, 0, 0], [0, 1, 0]], [[0, 2, 0], [-1, 0, 0]]).round(9).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    src, dst = _directions(src, "src"), _directions(dst, "dst")
+    src, dst = as_rows(src, 3, "src"), as_rows(dst, 3, "dst")
     if len(src) != len(dst) or len(src) < 2:
         raise TooFewPoints(f"src, dst: {len(src)} and {len(dst)} directions; need at least 2 pairs")
-    if weights is not None:
-        w = as_matrix(weights, (len(src),), "weights")
-        if w.min() < 0 or not 0 < w.max() < _LARGEST:
-            raise ShapeError("weights: negative, too large, or all 0; need numbers >= 0, some of them > 0")
-        src = src * (w / w.max())[:, None]
+    w = np.ones(len(src)) if weights is None else as_matrix(weights, (len(src),), "weights")
+    if w.min() < 0 or not 0 < w.max() < _LARGEST:
+        raise ShapeError("weights: negative, too large, or all 0; need numbers >= 0, some of them > 0")
+    src, dst, w = src[w > 0], dst[w > 0], w[w > 0] / w.max()
+    if len(src) < 2:
+        raise TooFewPoints(f"weights: {len(src)} above 0; need at least 2")
+    src, dst = _directions(src, "src") * w[:, None], _directions(dst, "dst")
     return np.asarray(_nearest(dst.T @ src), np.float64) + 0.0
 
 

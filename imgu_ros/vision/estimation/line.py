@@ -39,7 +39,7 @@ def fit_line(points: ArrayLike, weights: ArrayLike | None = None) -> LineEstimat
     Parameters
     ----------
     points : (N, 2), N >= 2
-    weights : (N,) >= 0, of the squared distances; None: all 1
+    weights : (N,) >= 0, of the squared distances; None: all 1. Where a point of weight 0 lies changes nothing
 
     Returns
     -------
@@ -49,7 +49,7 @@ def fit_line(points: ArrayLike, weights: ArrayLike | None = None) -> LineEstimat
     Raises
     ------
     TooFewPoints
-        If there are fewer than two points.
+        If there are fewer than two points (of weight above 0).
     DegenerateConfiguration
         If they coincide, or spread equally in all directions.
     ShapeError
@@ -64,10 +64,12 @@ def fit_line(points: ArrayLike, weights: ArrayLike | None = None) -> LineEstimat
     w = np.ones(len(points)) if weights is None else as_matrix(weights, (len(points),), "weights")
     if w.min() < 0 or not 0 < w.max() < _LARGEST:
         raise ShapeError("weights: negative, too large, or all 0; need numbers >= 0, some of them > 0")
-    w = w / w.max()
+    points, w = points[w > 0], w[w > 0] / w.max()
+    if len(points) < 2:
+        raise TooFewPoints(f"weights: {len(points)} above 0; need at least 2")
     total = float(w.sum())
     centroid = w @ points / total
-    unit = float(np.abs(points - centroid).max())
+    unit = float(np.sqrt(w @ ((points - centroid) ** 2).sum(axis=1) / total))
     if not unit > 1e-100:
         raise DegenerateConfiguration(f"points: all {len(points)} coincide; need two that differ")
     away = (points - centroid) / unit
@@ -77,9 +79,8 @@ def fit_line(points: ArrayLike, weights: ArrayLike | None = None) -> LineEstimat
         raise DegenerateConfiguration("points: as wide as long; need points that spread along a line")
     normal = vectors[:, 0] * (1 if vectors[np.argmax(np.abs(vectors[:, 0])), 0] > 0 else -1)
     distance = away @ normal
-    count = int(np.count_nonzero(w))
     # The angle turns about the centroid; the offset moves the centroid: to first order they are independent.
-    variance = float((w * distance**2).sum()) / max(count - 2, 1)
+    variance = float((w * distance**2).sum()) / max(len(points) - 2, 1)
     along = np.array([-normal[1], normal[0]])
     by_angle = np.append(along, -along @ centroid)
     by_offset = np.array([0.0, 0.0, -1.0])

@@ -7,63 +7,20 @@ Chum, Matas & Kittler 2003).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from imgu_ros.arguments import as_integer, as_number, require_methods
-from imgu_ros.errors import EstimationError, NoConsensus, ShapeError
-from imgu_ros.types import Choice, Floats, Indices, Mask
+from imgu_ros.errors import NoConsensus, ShapeError
+from imgu_ros.types import Floats, Mask
+from imgu_ros.vision.estimation.chance import Agreement, ChanceModel
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
+from imgu_ros.vision.estimation.search import SEARCHES, RobustModel, Score
 
-_LOCAL_STEPS = 4
-#: The biweight reaches this many thresholds far: a threshold that is a little wrong then does little harm.
-_REACH = 8 / 3
-#: Reaches of the successive weighted fits, in those of the score: a sample's errors magnify away from it.
-_ANNEALING = (2.0, 1.4, 1.0, 1.0, 1.0, 1.0)
 #: Probability that a wrong hypothesis agrees with a point, and inliers beyond chance that make a stop early.
 _BY_CHANCE = 0.05
 _SUPPORT = 8
-#: Hypotheses of each batch that are fitted by weight.
-_PROMISING = 2
-
-
-class Score(Choice):
-    """What a point adds to the cost of a hypothesis, by its error."""
-
-    TRUNCATED = "truncated"  #: squared error up to the threshold's, MSAC (Torr & Zisserman 2000)
-    BIWEIGHT = "biweight"  #: Tukey's loss, 8/3 thresholds wide: as if the threshold were averaged over, slower
-
-
-class RobustModel(Protocol):
-    """What `ransac` needs to know of a model; hypotheses are rows of a (B, ...) array."""
-
-    @property
-    def count(self) -> int:
-        """Number of points N."""
-
-    @property
-    def sample_size(self) -> int:
-        """Fewest points that determine the model."""
-
-    def generate(self, samples: Indices) -> Floats:
-        """Return the hypotheses, (B', ...), of samples (B, m); degenerate samples give none, so B' may differ."""
-
-    def squared_errors(self, hypotheses: Floats) -> Floats:
-        """Return the squared error (B, N) of every point under each hypothesis; inf where undefined."""
-
-    def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
-        """Return one hypothesis fitted to the inliers; raises EstimationError when they do not determine it."""
-
-
-@runtime_checkable
-class WeightedModel(RobustModel, Protocol):
-    """A model that can also be fitted by weight, many at once: what the biweight score makes best use of."""
-
-    def refit_weighted(self, hypotheses: Floats, weights: Floats) -> Floats:
-        """Return the hypotheses (B', ...) fitted with weights (B, N) of the squared errors; undetermined give none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +49,7 @@ def ransac(
     confidence: float = 0.9999,
     max_iterations: int = 2000,
     min_inliers: int = 0,
+    max_by_chance: float = 1e-3,
     unit: str = "",
 ) -> Consensus:
     """Find the hypothesis with the smallest robust error.
@@ -107,6 +65,8 @@ def ransac(
     max_iterations : most samples; with the biweight score most hypotheses: samples that give none are drawn again,
         up to ten times as many in all
     min_inliers : fewest inliers of an answer; at least sample_size + 1 are asked for
+    max_by_chance : most hypotheses as good as the answer that wrong data may be expected to give, of a model that can
+        tell (`ChanceModel`); inf: chance is not asked
     unit : of the threshold, for the message of NoConsensus
 
     Raises
@@ -114,7 +74,7 @@ def ransac(
     TooFewPoints
         If there are fewer points than a sample needs.
     NoConsensus
-        If no hypothesis reaches the wanted number of inliers.
+        If no hypothesis reaches the wanted number of inliers, or wrong data would agree as well by chance.
     ShapeError
         If an option is out of range.
 
@@ -130,13 +90,15 @@ def ransac(
     confidence = as_number(confidence, "confidence")
     max_iterations = as_integer(max_iterations, "max_iterations")
     min_inliers = as_integer(min_inliers, "min_inliers")
-    if not (1e-150 < threshold < 1e150 and 0 < confidence < 1 and max_iterations >= 1):
+    max_by_chance = as_number(max_by_chance, "max_by_chance")
+    if not (1e-150 < threshold < 1e150 and 0 < confidence < 1 and max_iterations >= 1 and max_by_chance > 0):
         raise ShapeError(
-            f"threshold, confidence, max_iterations: {threshold}, {confidence}, {max_iterations}; "
-            "need > 0, between 0 and 1, >= 1"
+            f"threshold, confidence, max_iterations, max_by_chance: {threshold}, {confidence}, {max_iterations}, "
+            f"{max_by_chance}; need > 0, between 0 and 1, >= 1, > 0"
         )
     limit = threshold**2
-    search = _SEARCHES[Score(score)](model, limit)
+    shares = model.shares(threshold) if isinstance(model, ChanceModel) else np.ones(model.count)
+    search = SEARCHES[Score(score)](model, limit, shares)
     most_drawn = max_iterations * search.draws_for_each
     needed = most_drawn
     drawn = scored = 0
@@ -146,10 +108,11 @@ def ransac(
         hypotheses = model.generate(samples)
         scored += len(hypotheses)
         if len(hypotheses) and search.improve(hypotheses):
-            share = _inlier_share(search.errors <= limit, model.sample_size, Sampler(sampler))
+            share = _inlier_share(search.errors <= limit, shares, model.sample_size, Sampler(sampler))
             needed = min(needed, iterations_needed(share, model.sample_size, confidence))
         if drawn >= min(needed, most_drawn) or scored >= max_iterations:
             break
+    search.finish()
     inlier_mask = search.errors <= limit
     found = int(np.count_nonzero(inlier_mask))
     wanted = max(min_inliers, model.sample_size + 1)
@@ -158,7 +121,25 @@ def ransac(
             f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}",
             inliers=found,
         )
+    if isinstance(model, ChanceModel) and math.isfinite(max_by_chance):
+        probability = model.agreement_probability(search.best, threshold)
+        ratios = np.sqrt(search.errors) / threshold
+        agreement = Agreement(shares, ratios, model.sample_size, model.codimension, probability)
+        if not agreement.expected_by_chance(scored) <= max_by_chance:
+            raise NoConsensus(
+                _by_chance(agreement, found, scored, max_by_chance, f"{threshold:g}{unit}"), inliers=found
+            )
     return Consensus(search.best, inlier_mask, drawn)
+
+
+def _by_chance(agreement: Agreement, found: int, tested: int, expected: float, threshold: str) -> str:
+    """Return the reason in the user's terms."""
+    count = len(agreement.shares)
+    alike = float(agreement.shares[agreement.ratios <= 1].sum())
+    places = "" if found - alike < 0.5 else f", at {alike:.0f} different places"
+    needed = agreement.needed(tested, expected)
+    more = f"need {needed}" if needed <= count else "need a smaller threshold, or more that agree"
+    return f"inliers: {found} of {count} within {threshold}{places}: as many agree by chance; {more}"
 
 
 def iterations_needed(inlier_share: float, sample_size: int, confidence: float) -> int:
@@ -193,106 +174,17 @@ def iterations_needed(inlier_share: float, sample_size: int, confidence: float) 
     return max(1, math.ceil(math.log(1 - confidence) / math.log1p(-good)))
 
 
-def _inlier_share(inliers: Mask, sample_size: int, sampler: Sampler) -> float:
+def _inlier_share(inliers: Mask, shares: Floats, sample_size: int, sampler: Sampler) -> float:
     """Return the share of inliers; for PROSAC the highest among the best n points, for any n with more than chance.
 
-    Samples come from the best points, so that it is their share that counts (Chum & Matas 2005, section 2.2).
+    Samples come from the best points, so that it is their share that counts (Chum & Matas 2005, section 2.2). Many that
+    are at one place do not make the search stop before it has seen the others.
     """
     if sampler is Sampler.UNIFORM:
-        return float(inliers.mean())
+        return min(float(inliers.mean()), float(shares[inliers].sum() / shares.sum()))
     found = np.cumsum(inliers)
     n = np.arange(1, len(inliers) + 1)
     by_chance = _BY_CHANCE * n
     sure = found >= sample_size + by_chance + 3 * np.sqrt(by_chance) + _SUPPORT
     sure[-1] = True
     return float((found[sure] / n[sure]).max())
-
-
-class _Search:
-    """The best hypothesis so far."""
-
-    def __init__(self, model: RobustModel, limit: float) -> None:
-        self.model = model
-        self.limit = limit
-        self.best: Floats | None = None
-        self.errors = np.zeros(0)
-        self.cost = math.inf
-
-    def _take(self, hypotheses: Floats, errors: Floats, costs: Floats) -> bool:
-        winner = int(np.argmin(costs))
-        if not costs[winner] < self.cost:
-            return False
-        self.best, self.errors, self.cost = hypotheses[winner], errors[winner], float(costs[winner])
-        return True
-
-
-class _TruncatedSearch(_Search):
-    """Each new best hypothesis is refitted to its inliers as long as the cost falls."""
-
-    draws_for_each = 1
-    largest_batch = 128
-
-    def improve(self, hypotheses: Floats) -> bool:
-        """Whether a hypothesis of the batch is better than all before."""
-        if not self._consider(hypotheses):
-            return False
-        for _ in range(_LOCAL_STEPS):
-            assert self.best is not None
-            try:
-                candidate = self.model.refit(self.best, self.errors <= self.limit)
-            except EstimationError:
-                break
-            if not self._consider(candidate[None]):
-                break
-        return True
-
-    def _consider(self, hypotheses: Floats) -> bool:
-        errors = self.model.squared_errors(hypotheses)
-        return self._take(hypotheses, errors, np.minimum(errors, self.limit).sum(axis=1))
-
-
-class _BiweightSearch(_Search):
-    """The most promising hypotheses of each batch are fitted by weights that narrow down."""
-
-    draws_for_each = 10
-    largest_batch = 2048
-
-    def __init__(self, model: RobustModel, limit: float) -> None:
-        super().__init__(model, limit)
-        self._reach = limit * _REACH**2
-
-    def improve(self, hypotheses: Floats) -> bool:
-        """Whether a hypothesis of the batch is better than all before."""
-        errors = self.model.squared_errors(hypotheses)
-        costs = self._costs(errors)
-        promising = np.argsort(costs, kind="stable")[:_PROMISING]
-        hypotheses, errors = hypotheses[promising], errors[promising]
-        better = self._take(hypotheses, errors, costs[promising])
-        for share in _ANNEALING:
-            hypotheses = self._refitted(hypotheses, (1 - np.minimum(errors / (self._reach * share**2), 1)) ** 2)
-            if not len(hypotheses):
-                break
-            errors = self.model.squared_errors(hypotheses)
-            better |= self._take(hypotheses, errors, self._costs(errors))
-        return better
-
-    def _costs(self, errors: Floats) -> Floats:
-        left = 1 - np.minimum(errors / self._reach, 1)
-        return np.asarray((1 - left * left * left).sum(axis=1), np.float64)
-
-    def _refitted(self, hypotheses: Floats, weights: Floats) -> Floats:
-        if isinstance(self.model, WeightedModel):
-            return self.model.refit_weighted(hypotheses, weights)
-        fitted = []
-        for hypothesis, inliers in zip(hypotheses, weights > 0.25, strict=True):
-            try:
-                fitted.append(self.model.refit(hypothesis, inliers))
-            except EstimationError:
-                continue
-        return np.array(fitted)
-
-
-_SEARCHES: dict[Score, Callable[[RobustModel, float], _TruncatedSearch | _BiweightSearch]] = {
-    Score.TRUNCATED: _TruncatedSearch,
-    Score.BIWEIGHT: _BiweightSearch,
-}

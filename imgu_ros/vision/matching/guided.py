@@ -15,7 +15,7 @@ from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import Metric, checked_rows, comparable_rows
 from imgu_ros.vision.matching.near import near_pairs
-from imgu_ros.vision.projective.estimate import fit_homography
+from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.refine import HomographyError
 from imgu_ros.vision.projective.transform import normalised_homography

@@ -12,7 +12,8 @@ A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_
 | `decomposition` | H into similarity, affine and projective parts; A into rotation and two scales | how far is this view from frontal? |
 | `dlt`, `minimal` | homographies from correspondences, linearly | four or more true matches |
 | `refine` | what a fit may minimise: transfer, symmetric, Sampson and reprojection errors | accuracy |
-| `estimate` | `estimate_homography`, `fit_homography`: robust, refined, with a covariance | matches with wrong ones among them |
+| `fit` | `fit_homography`: refined, with a covariance | four or more true matches |
+| `estimate` | `estimate_homography`: the same by sample consensus | matches with wrong ones among them |
 | `increments` | `PlaneMotion.fit`: the small motion that most displacements agree on | patches were aligned |
 | `logarithm` | of a homography: the motion's velocity, any share of it | a motion is to go on |
 | `condensed` | `condensed_homography`: H and all that its displacements tell, in two 8x8 matrices | a pose is to be fitted next |
@@ -46,9 +47,10 @@ from imgu_ros.vision.projective.errors import (
     symmetric_transfer_error,
     transfer_error,
 )
-from imgu_ros.vision.projective.estimate import estimate_homography, fit_homography, require_spread, unscaled
+from imgu_ros.vision.projective.estimate import estimate_homography
+from imgu_ros.vision.projective.fit import fit_homography, require_spread, unscaled
 from imgu_ros.vision.projective.hierarchy import Invariant, Transformation, classify
-from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.homography import HomographyEstimate, Orientation
 from imgu_ros.vision.projective.increments import Motion, MotionSums, PlaneMotion, motion_sums
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
@@ -111,6 +113,7 @@ __all__ = [
     "Invariant",
     "Motion",
     "MotionSums",
+    "Orientation",
     "Pairs",
     "PlaneMotion",
     "ReprojectionProblem",

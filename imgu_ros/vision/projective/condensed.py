@@ -14,7 +14,7 @@ import numpy as np
 from imgu_ros.arguments import shown
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
-from imgu_ros.vision.projective.estimate import unscaled
+from imgu_ros.vision.projective.fit import unscaled
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
 from imgu_ros.vision.projective.misfit import smooth_misfit

@@ -10,6 +10,8 @@ from imgu_ros.types import Floats, Matrix3, as_floats, as_matrix, as_points
 from imgu_ros.vision.projective.transform import normalised_homography
 
 _RANK_TOLERANCE = 1e-9
+#: Mean distance from the centroid, as a share of its coordinates, up to which points coincide: that of rounding.
+_COINCIDING = 1e-14
 #: Larger numbers are no places in a picture, and their squares overflow.
 _LARGEST = 1e100
 
@@ -20,7 +22,8 @@ def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None = N
     Parameters
     ----------
     src, dst : (N, 2), N >= 4
-    weights : (N,) >= 0, of each correspondence's squared error; None: all 1
+    weights : (N,) >= 0, of each correspondence's squared error; None: all 1. Where one of weight 0 lies, as long as
+        it is a plain number, changes nothing
 
     Returns
     -------
@@ -29,7 +32,7 @@ def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None = N
     Raises
     ------
     TooFewPoints
-        If there are fewer than four correspondences.
+        If there are fewer than four correspondences (of weight above 0).
     DegenerateConfiguration
         If the points do not determine a homography (three of four collinear, coincident, ...).
     ShapeError
@@ -46,10 +49,16 @@ def homography_dlt(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None = N
     dst = as_points(dst, "dst")
     if len(src) != len(dst) or len(src) < 4:
         raise TooFewPoints(f"src, dst: {len(src)} and {len(dst)} points; need at least 4 pairs")
-    T_src, T_dst = normalisation(src), normalisation(dst)
-    A = design_matrix(src @ T_src[:2, :2].T + T_src[:2, 2], dst @ T_dst[:2, :2].T + T_dst[:2, 2])
+    w = None
     if weights is not None:
-        A *= np.sqrt(_checked_weights(weights, len(src)))[:, None, None]
+        w = _checked_weights(weights, len(src))
+        src, dst, w = src[w > 0], dst[w > 0], w[w > 0]
+        if len(src) < 4:
+            raise TooFewPoints(f"weights: {len(src)} above 0; need at least 4")
+    T_src, T_dst = _weighted_normalisation(src, w), _weighted_normalisation(dst, w)
+    A = design_matrix(src @ T_src[:2, :2].T + T_src[:2, 2], dst @ T_dst[:2, :2].T + T_dst[:2, 2])
+    if w is not None:
+        A *= np.sqrt(w)[:, None, None]
     # The triangular factor has the same singular values and right vectors, and at most nine rows.
     _, singular, vectors = np.linalg.svd(np.linalg.qr(A.reshape(-1, 9), mode="r"), full_matrices=True)
     if not singular[7] > _RANK_TOLERANCE * singular[0]:
@@ -119,12 +128,16 @@ def normalisation(points: ArrayLike, name: str = "points") -> Floats:
     array = as_floats(points, name)
     if array.ndim != 2 or array.shape[1] not in (2, 3) or not len(array):
         raise ShapeError(f"{name}: shape {array.shape}; need (N, 2) or (N, 3), N >= 1")
-    array = as_matrix(array, array.shape, name)
+    return _weighted_normalisation(as_matrix(array, array.shape, name), None, name)
+
+
+def _weighted_normalisation(array: Floats, weights: Floats | None, name: str = "points") -> Floats:
+    """Return the similarity that moves the weighted centroid to 0 and the weighted mean distance from it to sqrt D."""
     _require_plain(array, name)
-    centroid = array.mean(axis=0)
+    centroid = np.average(array, axis=0, weights=weights)
     offsets = array - centroid
-    distance = float(np.sqrt(np.einsum("nd,nd->n", offsets, offsets)).mean())
-    if not distance > 1e-12 * max(1.0, float(np.abs(centroid).max())):
+    distance = float(np.average(np.sqrt(np.einsum("nd,nd->n", offsets, offsets)), weights=weights))
+    if not distance > _COINCIDING * float(np.abs(centroid).max()):
         raise DegenerateConfiguration(f"{name}: all {len(array)} coincide; need points apart")
     dimension = array.shape[1]
     T = np.eye(dimension + 1)
@@ -142,4 +155,4 @@ def _checked_weights(weights: ArrayLike, count: int) -> Floats:
     weights = as_matrix(weights, (count,), "weights")
     if weights.min() < 0 or weights.max() > _LARGEST:
         raise ShapeError(f"weights: {weights.min():g} to {weights.max():g}; need 0 to {_LARGEST:g}")
-    return weights
+    return weights / (weights.max() or 1.0)

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.types import as_matrix
-from imgu_ros.vision.estimation.covariance import propagated_covariance, window_correlation
+from imgu_ros.vision.estimation.chance import binomial_tail, pair_probability, shares_of_places
+from imgu_ros.vision.estimation.covariance import propagated_covariance, selection_efficiency, window_correlation
 from imgu_ros.vision.estimation.directions import DirectionsModel, align_directions
 from imgu_ros.vision.estimation.line import LineModel, fit_line
 from imgu_ros.vision.estimation.linear import homogeneous_least_squares, least_squares, shape_of, total_least_squares
@@ -41,6 +42,14 @@ def _minimum(rng: np.random.Generator) -> Minimum:
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
     propagated_covariance: lambda rng: {"minimum": _minimum(rng), "noise": 0.5, "correlation": np.eye(6)},
+    selection_efficiency: lambda _: {"mean_square": 2.0, "threshold": 3.0},
+    binomial_tail: lambda _: {"count": 20, "successes": 3, "probability": 0.1},
+    pair_probability: lambda rng: {
+        "mapped": rng.uniform(0, 100, (9, 2)),
+        "measured": rng.uniform(0, 100, (9, 2)),
+        "threshold": 3.0,
+    },
+    shares_of_places: lambda rng: {"points": rng.uniform(0, 20, (9, 2)), "size": 3.0},
     window_correlation: lambda rng: {"xy": rng.uniform(0, 20, (5, 2)), "side": 15.0},
     align_directions: lambda rng: {
         "src": rng.normal(size=(5, 3)),

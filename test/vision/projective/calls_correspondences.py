@@ -15,7 +15,8 @@ from imgu_ros.vision.projective.errors import (
     symmetric_transfer_error,
     transfer_error,
 )
-from imgu_ros.vision.projective.estimate import estimate_homography, fit_homography, require_spread
+from imgu_ros.vision.projective.estimate import estimate_homography
+from imgu_ros.vision.projective.fit import fit_homography, require_spread
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.minimal import HomographyModel
 from imgu_ros.vision.projective.refine import derivative_by_h, stepped, tangent_basis

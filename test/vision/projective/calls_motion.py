@@ -8,7 +8,7 @@ import numpy as np
 
 from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
-from imgu_ros.vision.projective.estimate import unscaled
+from imgu_ros.vision.projective.fit import unscaled
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
-from imgu_ros.vision.projective.estimate import fit_homography
+from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.increments import PlaneMotion
 from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.transform import normalised_homography, transform

@@ -15,7 +15,7 @@ from imgu_ros.vision.projective.errors import (
     symmetric_transfer_error,
     transfer_error,
 )
-from imgu_ros.vision.projective.estimate import fit_homography
+from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.reprojection import ReprojectionProblem, corrected_points

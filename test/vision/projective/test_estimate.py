@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError, TooFewPoints
-from imgu_ros.vision.projective.estimate import estimate_homography, fit_homography
+from imgu_ros.vision.projective.estimate import estimate_homography
+from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.refine import (
     HomographyError,
     SampsonProblem,
