@@ -166,7 +166,7 @@ def pair_probability(mapped: Floats, measured: Floats, threshold: float) -> floa
     """
     threshold = as_number(threshold, "threshold")
     mapped, measured = _places(mapped, "mapped"), _places(measured, "measured")
-    if mapped.shape != measured.shape or not 0 < threshold < _LARGEST:
+    if mapped.shape != measured.shape or not 1 / _LARGEST < threshold < _LARGEST:
         raise ShapeError(
             f"mapped, measured, threshold: shapes {mapped.shape}, {measured.shape}, {threshold!r}; need equal ones, > 0"
         )

@@ -16,6 +16,8 @@ _LARGEST = 1.001
 #: Squared thresholds, in units of 2 sigma^2, between which an efficiency is sought; the least that is told.
 _FULLEST_U, _EMPTIEST_U = 0.01, 100.0
 _LEAST_EFFICIENCY = 0.3
+#: Squares of such numbers are finite.
+_PLAIN = 1e150
 
 
 def propagated_covariance(minimum: Minimum, noise: float | None = None, correlation: Floats | None = None) -> Floats:
@@ -102,7 +104,7 @@ def selection_efficiency(mean_square: float, threshold: float) -> float:
     0.95
     """
     mean_square, threshold = as_number(mean_square, "mean_square"), as_number(threshold, "threshold")
-    if not (0 <= mean_square < math.inf and 0 < threshold < math.inf):
+    if not (0 <= mean_square < _PLAIN and 1 / _PLAIN < threshold < _PLAIN):
         raise ShapeError(f"mean_square, threshold: {mean_square!r}, {threshold!r}; need >= 0 and > 0")
     wanted = mean_square / threshold**2
     low, high = _FULLEST_U, _EMPTIEST_U

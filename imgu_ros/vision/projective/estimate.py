@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.arguments import as_integer, as_number
+from imgu_ros.arguments import as_generator, as_integer, as_number
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, ShapeError, TooFewPoints
-from imgu_ros.types import Mask, Matrix3, Points, as_generator, as_points
+from imgu_ros.types import Mask, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.covariance import selection_efficiency
 from imgu_ros.vision.estimation.nonlinear import Minimiser
 from imgu_ros.vision.estimation.ransac import Consensus, ransac
