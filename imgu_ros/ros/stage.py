@@ -39,7 +39,7 @@ class Stage(ABC):
     takes : the names of the feeds without which there is nothing to work on
     choice : the topics that it gives
     needs_targets : whether it has to know the targets
-    remarks : of the last frame, what people should know of its camera
+    remarks : what people should know of the last frame
     """
 
     name: ClassVar[str]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imgu_ros.codec.diagnostics import HealthEntry, Level
@@ -12,12 +13,13 @@ from imgu_ros.ros.stage_input import StageInput
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """What a stage node knows about itself: full name, lifecycle state, whether paused, whether listened to."""
+    """What a stage node knows about itself: full name, lifecycle state, whether paused, whether listened to, domain."""
 
     name: str
     lifecycle: str
     paused: bool
     listened: bool
+    domain: str
 
     @property
     def works(self) -> bool:
@@ -31,7 +33,7 @@ class StageState:
             return f"lifecycle state: {self.lifecycle}"
         if self.paused:
             return "paused: call ~/pause with false to go on"
-        return "" if self.listened else "idle: no subscribers"
+        return "" if self.listened else f"idle: no subscribers in {self.domain}"
 
 
 class StageFigures:
@@ -56,7 +58,12 @@ class StageFigures:
 
 
 def stage_health(
-    state: StageState, figures: StageFigures, source: StageInput, skipped: int, unmatched_subscribers: int
+    state: StageState,
+    figures: StageFigures,
+    source: StageInput,
+    skipped: int,
+    unmatched_subscribers: int,
+    remarks: Sequence[str],
 ) -> list[HealthEntry]:
     """Return the entries of /diagnostics.
 
@@ -65,10 +72,14 @@ def stage_health(
     state, figures, source : of the node
     skipped : frames that gave way to newer ones
     unmatched_subscribers : listeners that cannot be served, for their QoS does not fit
+    remarks : what people should know of the last frame
     """
     now = time.monotonic()
     rest = state.rest
-    reason = "" if rest else source.why_silent() or (f"rejected: {figures.reason}" if figures.reason else "")
+    reason = ""
+    if not rest:
+        rejected = f"rejected: {figures.reason}" if figures.reason else ""
+        reason = source.why_silent() or rejected or "; ".join(remarks)
     names = ("latency_p50_ms", "latency_p95_ms", "latency_max_ms")
     output: dict[str, object] = {
         "lifecycle_state": state.lifecycle,

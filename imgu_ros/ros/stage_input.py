@@ -20,6 +20,7 @@ from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.offers import Wanted, why_not_offered
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, overridable, override_names
+from imgu_ros.ros.reach import another_user, has_no_names
 
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
@@ -184,7 +185,10 @@ class StageInput:
             if cause is not None:
                 return cause.text
         if silent:
-            return f"nothing comes on {', '.join(feed.topic for feed in silent)}, although there is a publisher"
+            said = f"nothing comes on {', '.join(feed.topic for feed in silent)}, although there is a publisher"
+            nameless = has_no_names(self._node.get_publishers_info_by_topic(silent[0].topic))
+            why = another_user(nameless=True) if nameless else ""
+            return f"{said}: {why}" if why else said
         return f"stamps of {', '.join(feed.topic for feed in self.topics.feeds)} do not pair; need equal ones"
 
     def _subscribe(self, type_name: str, topic: str, receive: Callable[[Any], None], qos: QoSProfile) -> None:

@@ -164,13 +164,16 @@ class StageNode(ManagedNode[StageInput]):
                     self._log_failure(f"frame: {type(error).__name__}: {' '.join(str(error).split())}")
 
     def _state(self) -> StageState:
-        return StageState(self.get_fully_qualified_name(), self._lifecycle, self._paused, self._listened)
+        name, domain = self.get_fully_qualified_name(), domain_text(self)
+        return StageState(name, self._lifecycle, self._paused, self._listened, domain)
 
     def _publish_diagnostics(self) -> None:
         if not self._diagnostics.get_subscription_count():
             return
         unmatched = 0 if self._outputs is None else self._outputs.unmatched()
-        entries = stage_health(self._state(), self._figures, self._input, self._slot.skipped, unmatched)
+        entries = stage_health(
+            self._state(), self._figures, self._input, self._slot.skipped, unmatched, self._stage.remarks
+        )
         self._diagnostics.publish(diagnostics_message(make_message, self.get_clock().now().nanoseconds, entries))
 
     def _reset(self) -> str:

@@ -71,6 +71,14 @@ def test_drawn_in_other_formats(scene: Path, tmp_path: Path, suffix: str, start:
         assert "points agree" in content
 
 
+def test_a_width_in_centimetres_is_said(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--width-m", str(100 * WIDTH_M), "--camera-info", str(scene / "camera.yaml")]
+    assert main(["match", str(scene / "poster.png"), str(scene / "view.png"), *options]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith("imgu: warning: targets.widths_m 30: poster would be 30 m wide and 45")
+    assert "did you mean 0.3 (30 cm)" in said
+
+
 def test_without_a_camera_there_is_no_pose(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["match", str(scene / "poster.png"), str(scene / "view.png")]) == 0
     out = capsys.readouterr().out

@@ -252,3 +252,17 @@ def test_a_stage_describes_a_target_only_where_it_must(monkeypatch: pytest.Monke
     for stage in six.stages:
         stage.use(parameters_from({"keypoints.max_count": 300}, parameters), images)
     assert len(described) == 2
+
+
+def test_stages_say_what_is_odd_about_headers_and_widths() -> None:
+    images = [replace(image, width_m=50.0) for image in default_targets(1, seed=3)]
+    frame = next(iter(simulate_sequence(Simulation(width=480, height=360, frames=30, seed=3), images))).frame
+    six = Six(parameters_from(OFF), images)
+    remarks = {}
+    for stamp_ns in (5 * 10**9, 5 * 10**9):
+        six.work(replace(frame, frame_id="/eye", stamp_ns=stamp_ns))
+        remarks = {stage.name: stage.remarks for stage in six.stages}
+    said = " ".join(remarks["demosaic"])
+    assert "'/eye'; tf2 refuses a leading slash: 'eye' goes out" in said and "are repeated in 1 of 2 images" in said
+    (said,) = [line for line in remarks["pose"] if line.startswith("targets.widths_m")]
+    assert "did you mean 0.5 (50 cm)" in said

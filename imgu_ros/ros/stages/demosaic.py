@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rclpy.node import Node
 
 from imgu_ros.codec.frame import decode_frame
+from imgu_ros.codec.header_checks import HeaderChecks
 from imgu_ros.codec.reduced_info import Covered, reduced_info_message
 from imgu_ros.codec.results import picture_message, result_header
 from imgu_ros.errors import ImguError
@@ -44,14 +45,25 @@ class DemosaicStage(Stage):
         {REDUCED: IMAGE_TYPE, REDUCED_INFO: CAMERA_INFO_TYPE},
     )
 
+    def __init__(self) -> None:
+        self._named = ("", "")
+        self._headers = HeaderChecks(*self._named)
+
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         known = input_topics(node, parameters.image_transport)
+        if self._named != (known.image, known.camera_info):
+            self._named = (known.image, known.camera_info)
+            self._headers = HeaderChecks(*self._named)
         return StageTopics((Feed(_IN, known.image, known.image_type, image_qos()),), known.camera_info)
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""
         p = self.parameters
+        self._headers.add_image(job.messages[_IN])
+        if job.camera_info is not None:
+            self._headers.add_camera_info(job.camera_info)
+        self.remarks = tuple(self._headers.told(p.frames.camera, lately=True).values())
         frame = decode_frame(job.messages[_IN], job.camera_info, rectified=p.camera.rectified)
         development = develop_frame(frame, p)
         if development.developed is None:

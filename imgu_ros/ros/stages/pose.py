@@ -14,9 +14,11 @@ from imgu_ros.errors import EstimationError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.calibration_check import CalibrationCheck
 from imgu_ros.perception.chain import JUMP_NS
+from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.posing import Located, posed
 from imgu_ros.perception.reasons import no_homography, no_pose
 from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
+from imgu_ros.perception.size_checks import SizeChecks
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stage import (
@@ -58,6 +60,10 @@ class PoseStage(TargetStage):
         super().__init__()
         self._check = CalibrationCheck()
         self._last_ns: int | None = None
+        self._sizes = SizeChecks(())
+
+    def _prepare(self, parameters: Parameters, parts: Parts) -> None:
+        self._sizes = SizeChecks(self.targets)
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
@@ -80,7 +86,8 @@ class PoseStage(TargetStage):
         targets = tuple(self._posed(index, estimates, agreeing, read) for index in range(len(self.targets)))
         targets = self._check.examined(read.camera, targets)
         result = Result(frame_without_image(header, read), targets, calibration=self._check.finding)
-        self.remarks = unusable(read) or result.camera_remarks
+        self._sizes.add(result)
+        self.remarks = (*(unusable(read) or result.camera_remarks), *self._sizes.warnings.values())
         outputs.publish(result)
         outputs.offer(STATUS, lambda: result_status_message(make_message, result))
 
