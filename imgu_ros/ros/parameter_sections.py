@@ -21,19 +21,33 @@ def unheeded_parameters(ros_arguments: Sequence[str], node_name: str) -> list[st
     lines = []
     given = RclParameters()
     try:
-        for kind, text in _parameter_arguments(ros_arguments):
-            if kind == "value":
-                given.add_override(text)
-                continue
-            if not Path(text).is_file():
-                continue  # a pipe, which rcl has emptied
-            sections = given.add_file(parameter_file_bytes(text), text)
+        for file, sections in _read(given, ros_arguments):
             if not any(section_applies(section, node_name) for section in sections):
                 found = ", ".join(dict.fromkeys(sections)) or "no node"
-                lines.append(f"{text}: sections for {found}; need one for {node_name} or /**")
+                lines.append(f"{file}: sections for {found}; need one for {node_name} or /**")
     except ImguError:
         return []  # rcl has read it, and rcl decides
     return lines + given.overruled(lambda section: section_applies(with_slash(section), node_name))
+
+
+def parameter_fault(ros_arguments: Sequence[str]) -> str:
+    """Return what is wrong with the parameters in arguments that rcl has refused; "" when it is something else."""
+    try:
+        for _ in _read(RclParameters(), ros_arguments):
+            pass
+    except ImguError as error:
+        return str(error)
+    return ""
+
+
+def _read(given: RclParameters, ros_arguments: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    """Add files and overrides in their order; yield each file with its sections."""
+    for kind, text in _parameter_arguments(ros_arguments):
+        if kind == "value":
+            given.add_override(text)
+        # A pipe has been emptied by rcl.
+        elif not Path(text).exists() or Path(text).is_file():
+            yield text, given.add_file(parameter_file_bytes(text), text)
 
 
 def _parameter_arguments(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.ros.parameter_sections import parameter_fault
 from imgu_ros.ros.spinning import Spinner
 from imgu_ros.ros.stopping import Stopped, StopSignal
 from imgu_ros.threads import one_processor_left_over
@@ -97,7 +98,9 @@ def init_ros(ros_arguments: Sequence[str]) -> None:
     try:
         rclpy.init(args=["imgu", *ros_arguments], signal_handler_options=SignalHandlerOptions.NO)
     except (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError) as error:
-        raise ParameterError(f"ROS arguments: {_without_source_lines(str(error))}") from None
+        # rcl names neither the line nor the name.
+        fault = parameter_fault(ros_arguments)
+        raise ParameterError(fault or f"ROS arguments: {_without_source_lines(str(error))}") from None
     except rclpy_implementation.UnknownROSArgsError as error:
         raise ParameterError(f"ROS arguments: {_without_source_lines(str(error))}") from None
 

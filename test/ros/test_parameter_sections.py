@@ -4,7 +4,8 @@ import os
 
 import pytest
 
-from imgu_ros.ros.parameter_sections import unheeded_parameters
+from imgu_ros.errors import ParameterError
+from imgu_ros.ros.parameter_sections import parameter_fault, unheeded_parameters
 
 
 @pytest.mark.parametrize(
@@ -63,3 +64,36 @@ def test_a_pipe_is_not_read_again(tmp_path):
     """`--params-file <(...)`: a second reader would wait for a writer."""
     os.mkfifo(tmp_path / "pipe")
     assert unheeded_parameters(["--ros-args", "--params-file", str(tmp_path / "pipe")], "/perception") == []
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"# Gr\xf6\xdfe\n/**: {ros__parameters: {seed: 1}}\n", "p.yaml: line 1: byte 0xF6 is no UTF-8; "),
+        (b"/**:\n  ros__parameters:\n    seed:\n", "p.yaml: line 3: seed: no value; need one"),
+        (
+            b"/**:\n  ros__parameters:\n    raw.gains: [1, 1.5, 1]\n",
+            "p.yaml: line 3: raw.gains: a list of int and float; ",
+        ),
+        (b"seed: 3\n", "p.yaml: line 1: a value outside of 'ros__parameters:'"),
+        (None, "p.yaml: No such file or directory; need a parameter file"),
+        (b"/**: {ros__parameters: {seed: 1}}\n", ""),
+    ],
+)
+def test_what_rcl_refuses_is_told_with_its_line(tmp_path, content, said):
+    file = tmp_path / "p.yaml"
+    if content is not None:
+        file.write_bytes(content)
+    told = parameter_fault(["--ros-args", "-r", "a:=b", "--params-file", str(file), "-p", "seed:=2"])
+    assert told.startswith(f"{tmp_path}/{said}") if said else told == ""
+
+
+def test_the_process_tells_it(ros_domain, tmp_path):
+    pytest.importorskip("rclpy", reason="needs the ros extra")
+    from imgu_ros.ros.process import init_ros
+
+    (tmp_path / "p.yaml").write_text("/**:\n  ros__parameters:\n    seed:\n")
+    with pytest.raises(ParameterError, match=r"p\.yaml: line 3: seed: no value"):
+        init_ros(["--ros-args", "--params-file", str(tmp_path / "p.yaml")])
+    with pytest.raises(ParameterError, match="^ROS arguments: .*bad::remap"):
+        init_ros(["--ros-args", "-r", "bad::remap"])
