@@ -119,7 +119,18 @@ _RATIONAL = frozenset(("rationalpolynomial", "rational", "rationalpoly", "fullop
 _THIN_PRISM = frozenset(("thinprism", "thinprismmodel", "rationalthinprism", "tilted", "tiltedmodel"))
 _OF_OPENCV = _BROWN | _RATIONAL | _THIN_PRISM | {""}
 _FISHEYE = frozenset(
-    ("equidistant", "equi", "fisheye", "opencvfisheye", "pinholeequi", "kannalabrandt", "kannalabrandt4", "kb4")
+    (
+        "equidistant",
+        "equi",
+        "fisheye",
+        "opencvfisheye",
+        "pinholeequi",
+        "kannalabrandt",
+        "kannalabrandt4",
+        "kb4",
+        "kannalabrandt8",
+        "kb8",
+    )
 )
 #: A pinhole and nothing else.
 _UNDISTORTED = frozenset(
@@ -139,7 +150,7 @@ _OTHER = {
     **dict.fromkeys(
         (
             "ds", "doublesphere", "eucm", "extendedunified", "ucm", "unified", "mei", "omni", "omnidirectional", "cmei",
-            "fov", "atan", "division", "fisheye62", "fisheye624", "kannalabrandt8", "kb8", "thinprismfisheye",
+            "fov", "atan", "division", "fisheye62", "fisheye624", "thinprismfisheye",
         ),
         _NOT_COMPUTED,
     ),

@@ -1,10 +1,10 @@
-"""What calibration tools write -> `CameraDescription`: ROS's YAML and INI, echoed messages, OpenCV's, Kalibr's.
+"""What calibration tools write -> `CameraDescription`: files of ROS, OpenCV, Kalibr, ORB-SLAM, and echoed messages.
 
 - YAML of camera_calibration_parsers (`image_width`, `camera_matrix`, ...), with OpenCV's tags as well
   (cv::FileStorage), under its names of before version 3 too; `imgu calibrate` adds `calibration_covariance`, of fx, fy,
   cx, cy and the distortion coefficients, which ROS's reader passes over;
 - a sensor_msgs/CameraInfo as `ros2 topic echo` and `rostopic echo` print it (`width`, `k` or `K`, ...), also as JSON;
-- Kalibr's camchain (`cam0: {camera_model, intrinsics, ...}`);
+- Kalibr's camchain (`cam0: {camera_model, intrinsics, ...}`); settings of ORB-SLAM and OpenVSLAM (`Camera.fx: ...`);
 - the INI format of camera_calibration_parsers (`[image]`, `width`, ...).
 """
 
@@ -58,6 +58,9 @@ def described_camera(text: str, source: str) -> tuple[CameraDescription, str]:
     chain = next((value for key, value in content.items() if re.fullmatch(r"cam\d+", str(key))), None)
     if isinstance(chain, dict) and "intrinsics" in chain:
         return _of_kalibr(chain, source)
+    dotted = next((name for name in ("Camera", "Camera1") if f"{name}.fx" in content), "")
+    if dotted:
+        return _of_orb_slam(content, dotted, source)
     return _of_yaml(content, source)
 
 
@@ -98,24 +101,45 @@ _ROI = ("x_offset", "y_offset", "width", "height")
 
 def _of_kalibr(chain: Mapping[str, Any], source: str) -> tuple[CameraDescription, str]:
     camera_model = str(chain.get("camera_model") or "pinhole")
-    if camera_model != "pinhole":
-        raise FileError(f"{source}: camera_model {camera_model!r}; need pinhole")
     intrinsics = _numbers(chain["intrinsics"], "intrinsics", source)
-    if len(intrinsics) != 4:
+    if len(intrinsics) < 4:
         raise FileError(f"{source}: intrinsics: {len(intrinsics)} values; need fu fv pu pv")
-    fu, fv, pu, pv = intrinsics
+    # Other models have more numbers before these; none of them is a pinhole with a lens before it.
+    *others, fu, fv, pu, pv = intrinsics
+    is_pinhole = camera_model == "pinhole"
     size = chain.get("resolution") or (0, 0)
     if not (isinstance(size, list | tuple) and len(size) == 2):
         raise FileError(f"{source}: resolution: {size!r}; need width and height")
     description = CameraDescription(
         source=source,
         K=(fu, 0.0, pu, 0.0, fv, pv, 0.0, 0.0, 1.0),
-        D=_numbers(chain.get("distortion_coeffs") or [], "distortion_coeffs", source),
-        model=str(chain.get("distortion_model") or ""),
+        D=(*others, *_numbers(chain.get("distortion_coeffs") or [], "distortion_coeffs", source)),
+        model=str(chain.get("distortion_model") or "") if is_pinhole else camera_model,
         width=_whole(size[0], "resolution", source),
         height=_whole(size[1], "resolution", source),
     )
     return description, str(chain.get("rostopic") or "")
+
+
+def _of_orb_slam(content: Mapping[str, Any], prefix: str, source: str) -> tuple[CameraDescription, str]:
+    def said(*names: str) -> Any:
+        keys = [f"{which}.{name}" for which in (prefix, "Camera") for name in names]
+        return next((content[key] for key in keys if key in content), None)
+
+    fx, fy, cx, cy = (_numbers([said(name)], f"{prefix}.{name}", source)[0] for name in ("fx", "fy", "cx", "cy"))
+    kind = str(said("type", "model") or "PinHole")
+    is_pinhole = kind.lower() in ("pinhole", "perspective", "rectified")
+    names = ("k1", "k2", "p1", "p2", "k3") if is_pinhole else ("k1", "k2", "k3", "k4")
+    given = [said(name) for name in names]
+    description = CameraDescription(
+        source=source,
+        K=(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0),
+        D=_numbers([0 if value is None else value for value in given], f"{prefix}.k1", source),
+        model="plumb_bob" if is_pinhole else kind,
+        width=_whole(said("width", "cols"), f"{prefix}.width", source),
+        height=_whole(said("height", "rows"), f"{prefix}.height", source),
+    )
+    return description, str(said("name") or "")
 
 
 def _of_ini(text: str, source: str) -> tuple[CameraDescription, str]:

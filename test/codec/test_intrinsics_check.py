@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from imgu_ros.codec.camera_reading import CameraDescription, read_camera
 
@@ -166,3 +168,53 @@ def test_a_lens_that_folds_the_image(D: tuple[float, ...], model: str, fine: boo
     read = read_camera(described(D=D, model=model), rectified=False)
     assert (read.camera is not None) == fine
     assert fine or "folds the image over" in read.reason
+
+
+_NUMBERS = st.one_of(
+    st.floats(width=64),
+    st.floats(-2000, 2000),
+    st.sampled_from([0.0, 1.0, 320.0, 240.0, 500.0, -0.3, 1e-4, 5e-324, 1e308]),
+)
+_SIZES = st.one_of(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 2, 240, 320, 480, 640, 1280]))
+
+
+@given(
+    K=st.lists(_NUMBERS, min_size=9, max_size=9),
+    P=st.lists(_NUMBERS, max_size=13),
+    D=st.lists(_NUMBERS, max_size=15),
+    model=st.one_of(
+        st.text(max_size=60), st.sampled_from(["", "plumb_bob", "equidistant", "rational_polynomial", "tilted"])
+    ),
+    sizes=st.tuples(*[_SIZES] * 8),
+    good=st.sampled_from(["K", "P", "size", "K and size", ""]),
+    rectified=st.booleans(),
+)
+def test_whatever_is_said_nothing_is_raised(K, P, D, model, sizes, good, rectified) -> None:
+    width, height, x, y, w, h, bx, by = sizes
+    if "K" in good:
+        K = [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]
+    if good == "P":
+        P = [500.0, 0.0, 320.0, 0.0, 0.0, 500.0, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    if "size" in good:
+        width, height, x, y, w, h, bx, by = 640, 480, 0, 0, 0, 0, 1, 1
+    said = CameraDescription(
+        "camera_info",
+        tuple(K),
+        tuple(D),
+        model,
+        width,
+        height,
+        P=tuple(P),
+        binning=(max(1, bx), max(1, by)),
+        roi=(x, y, w, h),
+    )
+    for image_size in (None, (640, 480)):
+        read = read_camera(said, rectified=rectified, image_size=image_size)
+        assert (read.camera is None) == bool(read.reason)
+        for line in (read.reason, *read.remarks):
+            assert "\n" not in line
+            assert len(line) < 800
+        if read.camera is not None:
+            assert np.isfinite(read.camera.K).all()
+            centre = np.array([[read.camera.K[0, 2], read.camera.K[1, 2]]])
+            assert np.isfinite(read.camera.undistort(centre)[0]).all()

@@ -189,6 +189,62 @@ cam1:
 """
 
 
+ORB_SLAM_2 = """\
+%YAML:1.0
+
+#--------------------------------------------------------------------------------------------
+# Camera Parameters. Adjust them!
+#--------------------------------------------------------------------------------------------
+
+Camera.fx: 438.783367
+Camera.fy: 437.302876
+Camera.cx: 305.593336
+Camera.cy: 243.738352
+
+Camera.k1: -0.361976
+Camera.k2: 0.110510
+Camera.p1: 0.001014
+Camera.p2: 0.000505
+
+Camera.width: 640
+Camera.height: 480
+
+# Camera frames per second
+Camera.fps: 20.0
+"""
+ORB_SLAM_3 = """\
+%YAML:1.0
+File.version: "1.0"
+Camera.type: "PinHole"
+Camera1.fx: 438.783367
+Camera1.fy: 437.302876
+Camera1.cx: 305.593336
+Camera1.cy: 243.738352
+Camera1.k1: -0.361976
+Camera1.k2: 0.110510
+Camera1.p1: 0.001014
+Camera1.p2: 0.000505
+Camera.width: 640
+Camera.height: 480
+"""
+OPENVSLAM = """\
+Camera.name: "EuRoC monocular"
+Camera.setup: "monocular"
+Camera.model: "perspective"
+Camera.fx: 438.783367
+Camera.fy: 437.302876
+Camera.cx: 305.593336
+Camera.cy: 243.738352
+Camera.k1: -0.361976
+Camera.k2: 0.110510
+Camera.p1: 0.001014
+Camera.p2: 0.000505
+Camera.k3: 0.0
+Camera.cols: 640
+Camera.rows: 480
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "name"),
     [
@@ -201,6 +257,9 @@ cam1:
         (INI + INI.replace("left", "right").replace("438.78", "999.99"), "narrow_stereo/left"),
         (OPENCV_2, ""),
         (KALIBR, "/cam0/image_raw"),
+        (ORB_SLAM_2, ""),
+        (ORB_SLAM_3, ""),
+        (OPENVSLAM, "EuRoC monocular"),
         (
             '{"K": ' + str(K) + ', "D": ' + str(D) + ', "width": 640, "height": 480, "distortion_model": "plumb_bob"}',
             "",
@@ -249,6 +308,33 @@ def test_a_fisheye_of_opencv(tmp_path):
     text = OPENCV_2.replace("calibration_Time", "fisheye_model: 1\ncalibration_Time").replace("505", "51")
     (tmp_path / "f.yml").write_text(text.replace(", 0. ]", " ]", 1).replace(", 0. ]\n", " ]\n"))
     assert str(read_camera_info(tmp_path / "f.yml").model) == "equidistant"
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "says"),
+    [
+        (KALIBR.replace("radtan", "equidistant").replace("-0.361976", "0.01"), "equidistant", ""),
+        (KALIBR.replace("distortion_model: radtan", "distortion_model: fov"), "", "'fov' is not computed"),
+        (
+            KALIBR.replace("camera_model: pinhole", "camera_model: ds").replace("[438.7", "[-0.2, 0.6, 438.7"),
+            "",
+            "'ds'",
+        ),
+        (KALIBR.replace("camera_model: pinhole", "camera_model: omni").replace("[438.7", "[1.2, 438.7"), "", "'omni'"),
+        (
+            ORB_SLAM_3.replace("PinHole", "KannalaBrandt8").replace(".p1", ".k3").replace(".p2", ".k4"),
+            "equidistant",
+            "",
+        ),
+        (OPENVSLAM.replace("perspective", "equirectangular"), "", "no perspective"),
+        (ORB_SLAM_2.replace("Camera.width: 640\n", ""), "", "width and height are 0 x 480"),
+    ],
+)
+def test_other_models(tmp_path, text, model, says):
+    (tmp_path / "a.yaml").write_text(text)
+    read = read_calibration(tmp_path / "a.yaml", image_size=(640, 480))
+    assert says in read.reason
+    assert ("" if read.camera is None else str(read.camera.model)) == model
 
 
 @pytest.mark.parametrize(
@@ -312,7 +398,6 @@ def test_the_size_of_the_image_is_that_of_window_and_binning(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (KALIBR.replace("camera_model: pinhole", "camera_model: omni"), "camera_model 'omni'; need pinhole"),
         (KALIBR.replace("[438.783367, 437.302876, 305.593336, 243.738352]", "[1, 2, 3]"), "need fu fv pu pv"),
         (KALIBR.replace("resolution: [640, 480]", "resolution: 640"), "need width and height"),
         (INI.replace("438.783367", "4x8"), "need numbers"),
