@@ -10,6 +10,7 @@ from imgu_ros.bags.reading import Bag
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import decode_header
 from imgu_ros.errors import EncodingError
+from imgu_ros.perception.remarks import Remarks
 from imgu_ros.vision.formation.layout import RawImage
 
 
@@ -22,11 +23,13 @@ class RecordedPicture:
     stamp_ns : its header's stamp
     image : decoded; None when it could not be
     reason : why it could not be decoded; empty when it was
+    remarks : what people should know of the choice of the topic and of the image, and was not said before
     """
 
     stamp_ns: int
     image: RawImage | None
     reason: str
+    remarks: tuple[str, ...] = ()
 
 
 def recorded_pictures(bag: Bag, topic: str = "") -> Iterator[RecordedPicture]:
@@ -42,12 +45,14 @@ def recorded_pictures(bag: Bag, topic: str = "") -> Iterator[RecordedPicture]:
     BagError, ParameterError
         If there is no such topic; see `choose_image_topic`.
     """
-    name = choose_image_topic(bag, topic).topic.name
-    for message in bag.messages([name]):
+    choice = choose_image_topic(bag, topic)
+    remarks = Remarks()
+    for message in bag.messages([choice.topic.name]):
         stamp_ns = decode_header(message.message).stamp_ns
         try:
             frame = decode_frame(message.message, None, rectified=False)
         except EncodingError as error:
-            yield RecordedPicture(stamp_ns, None, str(error))
+            yield RecordedPicture(stamp_ns, None, str(error), tuple(remarks.news([choice.remark])))
         else:
-            yield RecordedPicture(stamp_ns, frame.image, "")
+            news = tuple(remarks.news((choice.remark, frame.image.remark)))
+            yield RecordedPicture(stamp_ns, frame.image, "", news)

@@ -235,9 +235,9 @@ def _of_bag(bags: Sequence[Path], parameters: Parameters) -> Iterator[_Picture]:
         for picture in recorded_pictures(bag, parameters.image_topic):
             name = f"{picture.stamp_ns / 1e9:.3f} s"
             if picture.image is None:
-                yield _Picture(name, None, picture.reason)
+                yield _Picture(name, None, picture.reason, picture.remarks)
             else:
-                yield _developed(name, picture.image, parameters)
+                yield replace(_developed(name, picture.image, parameters), notes=picture.remarks)
 
 
 def _developed(name: str, image: RawImage, parameters: Parameters) -> _Picture:

@@ -124,7 +124,9 @@ def test_replay_and_calibrate_read_the_same(tmp_path):
         assert source.image_topic.name == "/rgb/image"
         said = "several image topics: reading /rgb/image (rgb8), not /depth/image (16UC1); set -p image_topic:=NAME"
         assert source.warnings == [said]
-        assert {picture.image.pixels.ndim for picture in recorded_pictures(bag)} == {3}
+        pictures = list(recorded_pictures(bag))
+        assert [picture.image.pixels.ndim for picture in pictures] == [3, 3]
+        assert [picture.remarks for picture in pictures] == [(said,), ()]
 
 
 def test_what_is_named_is_read(tmp_path):

@@ -133,6 +133,15 @@ def test_bad_frames_are_said_and_do_not_stop_the_node(node, world, peer, make_ca
     peer.wait(lambda: len(peer.heard["/status"]) > count, "another frame")
     peer.spin(0.2)
     assert node.text.count("uncalibrated") == 1
+    # A row length that the data contradict is said once, and costs nothing.
+    for later in (2, 3):
+        count = len(peer.heard["/status"])
+        camera.send(replace(last, stamp_ns=last.stamp_ns + later), step=7)
+        peer.wait(lambda n=count: len(peer.heard["/status"]) > n, "a frame with a wrong step")
+        assert values(peer.heard["/status"][-1], "poster")["status"] in ("detected", "tracked")
+    node.wait_for_line("/cam/image_raw: step: 7 bytes; read as ")
+    peer.spin(0.2)
+    assert node.text.count("step: 7 bytes") == 1
 
 
 def test_services_and_parameters(node, world, peer, make_camera):
