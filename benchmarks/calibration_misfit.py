@@ -239,7 +239,7 @@ def noise(folder: Path, seed: int, frames: int) -> list[dict[str, object]]:
             view = made(name, pixels, lens)
             parameters = Parameters()
             chain = Chain(parameters, prepare_targets([view.target], parameters))
-            worst, squared, warnings, errors = 0.0, [], 0, []
+            worst, squared, warnings, inflated, errors = 0.0, [], 0, 0, []
             for index in range(frames // 3):
                 lap, rng = index // _LAP_FRAMES, np.random.default_rng([seed, index, 0xA])
                 turn = 2 * math.pi * index / _LAP_FRAMES
@@ -252,6 +252,7 @@ def noise(folder: Path, seed: int, frames: int) -> list[dict[str, object]]:
                 if target.calibration is not None:
                     squared.append(target.calibration.chi_squared)
                 if target.pose is not None:
+                    inflated += target.pose.shared is not None
                     truth = view.truth(index / _LAP_FRAMES, placing, seed)
                     errors.append(squared_error(target.pose, truth, target.pose.covariance))
                 if said is not None:
@@ -260,7 +261,8 @@ def noise(folder: Path, seed: int, frames: int) -> list[dict[str, object]]:
                         worst = max(worst, abs(said.focal_percent) / said.focal_sigma_percent)
             row = {
                 "print": name, "lens": lens or "none", "frames": frames // 3, "frames_with_warning": warnings,
-                "largest_focal_sigmas": round(worst, 2), "mean_chi_squared": round(float(np.mean(squared)), 2),
+                "frames_inflated": inflated, "largest_focal_sigmas": round(worst, 2),
+                "mean_chi_squared": round(float(np.mean(squared)), 2),
                 "below": round(float((np.array(errors) < NEES_95).mean()), 3),
             }  # fmt: skip
             print(row, flush=True)

@@ -14,7 +14,9 @@ from imgu_ros.errors import EncodingError
 from imgu_ros.vision.camera.intrinsics import Camera
 
 
-def decode_camera_info(message: Any, *, rectified: bool, image_size: tuple[int, int] | None) -> CameraReading:
+def decode_camera_info(
+    message: Any, *, rectified: bool, image_size: tuple[int, int] | None, covariance: tuple[float, ...] = ()
+) -> CameraReading:
     """Read the camera that took an image of `image_size`; what keeps it from being used is the reading's reason.
 
     `roi.do_rectify` changes nothing: ROS's rectification uses the same window for the raw and for the rectified image.
@@ -22,13 +24,13 @@ def decode_camera_info(message: Any, *, rectified: bool, image_size: tuple[int, 
     Parameters
     ----------
     message : sensor_msgs/CameraInfo
-    rectified, image_size : see `read_camera`
+    rectified, image_size, covariance : see `read_camera`
     """
     try:
         description = camera_description(message)
     except EncodingError as error:
         return CameraReading(None, str(error))
-    return read_camera(description, rectified=rectified, image_size=image_size)
+    return read_camera(description, rectified=rectified, image_size=image_size, covariance=covariance)
 
 
 def camera_description(message: Any, source: str = "camera_info") -> CameraDescription:

@@ -5,7 +5,7 @@ Messages and files are brought into one form, `CameraDescription`, and read by o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -75,7 +75,11 @@ class CameraReading:
 
 @lru_cache(maxsize=32)  # hardly a camera says anything new with its next frame
 def read_camera(
-    description: CameraDescription, *, rectified: bool, image_size: tuple[int, int] | None = None
+    description: CameraDescription,
+    *,
+    rectified: bool,
+    image_size: tuple[int, int] | None = None,
+    covariance: tuple[float, ...] = (),
 ) -> CameraReading:
     """Read the camera that took an image of `image_size`. Nothing is raised for what is said of it.
 
@@ -87,8 +91,11 @@ def read_camera(
     description : what is said
     rectified : the image is rectified: P[:3, :3] and no distortion; else K and D
     image_size : width, height of the image that it belongs to, px; None: what window and binning make of the sensor
+    covariance : of the described numbers, known from elsewhere, see `CameraDescription`; empty: what is described
     """
     try:
+        if covariance:
+            description = replace(description, covariance=covariance)
         return _read(description, rectified, image_size)
     except (EncodingError, ShapeError) as error:
         return CameraReading(None, f"{description.source}: {error}")
