@@ -67,6 +67,8 @@ def test_pictures_to_yaml_json_and_picture(pictures: Path, tmp_path: Path, capsy
     error = np.array([found.K[i] - CAMERA.K[i] for i in ((0, 0), (1, 1), (0, 2), (1, 2))])
     assert error @ np.linalg.solve(covariance[:4, :4], error) < 25
     assert np.sqrt(np.diag(covariance)) == pytest.approx(content["sigma"])
+    # The file brings it into every pose that is made with it.
+    assert found.covariance == pytest.approx(covariance, rel=1e-12)
     assert content["rms_px"] < 0.1
     assert len(content["views"]) == COUNT
     assert {refused["reason"] for refused in content["refused"]} == {
