@@ -99,7 +99,7 @@ class CalibrationCheck:
         self._camera = camera
         before = self._new
         for target in targets:
-            if target.calibration is not None and target.outline is not None:
+            if target.calibration is not None and target.outline is not None and target.is_sharp:
                 self._add(target.index, target.outline, target.calibration)
         if self._new > before and (len(self._views) <= _FEW or self._new >= _EVERY):
             self._weigh(camera)
@@ -174,7 +174,7 @@ def finding_of(evidence: CalibrationEvidence, before: CalibrationFinding | None 
     elif is_other:
         warning = (
             "camera_info does not fit what is seen (and not by the focal length alone): calibrate the camera as it is "
-            "now (imgu calibrate); a rolling shutter or a target that is not flat looks like this too"
+            "now (imgu calibrate); a rolling shutter, motion blur or a target that is not flat looks like this too"
         )
     return CalibrationFinding(e.views, e.chi_squared, 100 * too_long, 100 * focal_sigma, is_focal, warning)
 

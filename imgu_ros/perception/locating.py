@@ -96,7 +96,9 @@ def located(
             with clock.measures(Stage.REFINE):
                 aligned = _aligned(known, sight.pictures, H, lens, parameters)
             if aligned is not None:
-                place = Located(aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed)
+                place = Located(
+                    aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed, aligned.halvings
+                )
                 share = aligned.agreeing_share
                 is_confirmed = share >= _CONFIRMING_SHARE
         with clock.measures(Stage.HOMOGRAPHY):

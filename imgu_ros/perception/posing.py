@@ -34,12 +34,14 @@ class Located:
     template_xy, image_xy : (N, 2) correspondences without outliers, template px and raw px
     homography : H_image_template in ideal px
     condensed : all that the correspondences tell; None: not condensed
+    halvings : of the picture that they were seen in; 0: full resolution
     """
 
     template_xy: Points
     image_xy: Points
     homography: HomographyEstimate
     condensed: CondensedHomography | None = None
+    halvings: int = 0
 
 
 def bending(camera: Camera | None) -> Camera | None:
@@ -100,6 +102,7 @@ def posed(
         solutions=poses.solutions,
         ambiguity=poses.ambiguity,
         calibration=None if is_ambiguous else poses.calibration,
+        is_sharp=located.halvings == 0,
     )
 
 

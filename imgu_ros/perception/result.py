@@ -94,7 +94,9 @@ class TargetResult:
     pose : camera_from_target with its covariance; None unless `pose_status` is metric
     solutions : the refined planar solutions, best first: two, or one when the other cannot be
     ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
-    calibration : what the picture says of the camera's numbers beside the pose; None without a pose
+    calibration : what the picture says of the camera's numbers beside the pose; None without a pose, or when
+        nobody asked for it
+    is_sharp : whether its points were seen at full resolution: what blurred ones say of the calibration is not counted
     confirmed_share : share of the target in view that looks as it should where it was found, or was thought to be, 0 to
         1: of patches looked for those that agree, or of cells compared those that look alike; None: not compared
     most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
@@ -114,6 +116,7 @@ class TargetResult:
     confirmed_share: float | None = None
     most_inliers: int = 0
     calibration: CalibrationTest | None = None
+    is_sharp: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,9 @@ def follow(
 
 def located(alignment: Alignment) -> Located:
     """Return the place that an alignment tells."""
-    return Located(alignment.template_xy, alignment.image_xy, alignment.homography, alignment.condensed)
+    return Located(
+        alignment.template_xy, alignment.image_xy, alignment.homography, alignment.condensed, alignment.halvings
+    )
 
 
 def _require_held(alignment: Alignment) -> None:
