@@ -6,8 +6,10 @@ import csv
 import importlib
 import inspect
 import pkgutil
+import re
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -92,3 +94,33 @@ def test_the_short_example() -> None:
     from imgu_ros.vision.projective.estimate import estimate_homography as from_its_module
 
     assert estimate_homography is from_its_module and callable(fit_homography)
+
+
+#: What two values are is said by the function's name, or is points and which of them are valid.
+PAIRS = {
+    "rq", "bend", "unbend", "undistort", "ideal_pixels", "project_with_jacobian", "as_correspondences", "unscaled",
+    "poses_about_point", "checked_size", "aspect",
+}  # fmt: skip
+
+
+def _functions() -> Iterator[tuple[str, Callable[..., object]]]:
+    for name in ROOMS:
+        for exported, value in _public(importlib.import_module(f"{PACKAGE}.{name}")).items():
+            members = vars(value).items() if inspect.isclass(value) else [(exported, value)]
+            for member, function in members:
+                function = function.fget if isinstance(function, property) else function
+                if inspect.isfunction(function) and not member.startswith("_"):
+                    yield member, function
+
+
+def test_what_has_several_parts_is_an_object_with_names() -> None:
+    """A tuple is a list of like things, `tuple[X, ...]`, or one of a few pairs; the rest are dataclasses."""
+    functions = list(_functions())
+    assert len(functions) > 250
+    wrong = []
+    for name, function in functions:
+        returned = str(inspect.signature(function).return_annotation)
+        for parts in re.findall(r"tuple\[((?:[^\[\]]|\[[^\]]*\])*)\]", returned):
+            if not parts.endswith(", ...") and (parts.count(",") > 1 or name not in PAIRS):
+                wrong.append(f"{name} -> {returned}")
+    assert wrong == []

@@ -52,7 +52,7 @@ from imgu_ros.vision.camera.ippe import poses_about_point
 from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, planar_poses, weighed_poses
 from imgu_ros.vision.camera.plane_view import plane_homography, pose_from_plane_homography
 from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.pose_estimate import PoseModel, estimate_pose, fit_pose
+from imgu_ros.vision.camera.pose_estimate import PoseEstimate, PoseModel, estimate_pose, fit_pose
 from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_seen_from
 from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
 from imgu_ros.vision.camera.projection import (
@@ -90,6 +90,7 @@ __all__ = [
     "FusedPose",
     "PlanarPoses",
     "Pose",
+    "PoseEstimate",
     "PoseModel",
     "PoseProblem",
     "ProjectionEstimate",

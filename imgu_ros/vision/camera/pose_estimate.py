@@ -7,6 +7,7 @@ covariance are ours. For points of one plane, `planar_pose` also tells the secon
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -92,7 +93,7 @@ def estimate_pose(
     threshold_px: float = 3.0,
     confidence: float = 0.9999,
     max_iterations: int = 2000,
-) -> tuple[Pose, Mask]:
+) -> PoseEstimate:
     """Estimate camera_from_object by sample consensus, then refine it on the inliers.
 
     Parameters
@@ -101,10 +102,6 @@ def estimate_pose(
     rng : source of the draws, or its seed
     threshold_px : largest reprojection error of an inlier
     confidence, max_iterations : see `ransac`
-
-    Returns
-    -------
-    pose, and which correspondences agree with it, (N,)
 
     Raises
     ------
@@ -121,7 +118,23 @@ def estimate_pose(
     )
     pose = fit_pose(model.points[consensus.inliers], model.pixels[consensus.inliers], camera)
     agreeing = model.squared_errors(np.column_stack((pose.R, pose.t))[None])[0] <= threshold_px**2
-    return pose, agreeing
+    return PoseEstimate(pose, agreeing, consensus.iterations)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """A pose, and what agrees with it.
+
+    Attributes
+    ----------
+    pose : camera_from_object
+    inliers : (N,) which correspondences agree with the pose
+    iterations : samples drawn
+    """
+
+    pose: Pose
+    inliers: Mask
+    iterations: int
 
 
 class PoseModel:
