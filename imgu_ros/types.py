@@ -64,6 +64,23 @@ def as_points(points: ArrayLike, name: str = "points", minimum: int = 0) -> Poin
     return as_rows(positions, 2, name, minimum)
 
 
+def as_plane_points(points: ArrayLike, name: str = "points", minimum: int = 0) -> Points:
+    """Return points of a plane as `as_points` does; (N, 3) with z = 0, as OpenCV has a board's, is taken as well.
+
+    Raises
+    ------
+    ShapeError
+        If the shape is neither, N < `minimum`, a z is not 0, or a value is not finite.
+    """
+    try:
+        rows = as_rows(points, 3, name, minimum)
+    except ShapeError:
+        return as_points(points, name, minimum)
+    if rows[:, 2].any():
+        raise ShapeError(f"{name}: z up to {np.abs(rows[:, 2]).max():g}; need points of the plane z = 0")
+    return rows[:, :2].copy()
+
+
 def as_rows(rows: ArrayLike, columns: int, name: str, minimum: int = 0) -> Floats:
     """Return `rows` as a finite float64 array of shape (N, columns) with N >= `minimum`.
 

@@ -9,7 +9,17 @@ from hypothesis.extra import numpy as hnp
 
 from imgu_ros.arguments import as_generator
 from imgu_ros.errors import ImguError, ShapeError
-from imgu_ros.types import Choice, as_floats, as_image, as_matrix, as_plain, as_points, as_rows, require_unit_range
+from imgu_ros.types import (
+    Choice,
+    as_floats,
+    as_image,
+    as_matrix,
+    as_plain,
+    as_plane_points,
+    as_points,
+    as_rows,
+    require_unit_range,
+)
 
 ALL = (np.uint8, np.uint16, np.float32)
 
@@ -173,6 +183,21 @@ def test_opencv_lists_its_points_as_we_take_them():
     assert contour.shape == (4, 1, 2)
     assert sorted(as_points(contour).tolist()) == [[20, 15], [20, 40], [50, 15], [50, 40]]
     assert as_points(cv2.goodFeaturesToTrack(picture, 4, 0.1, 5)).shape == (4, 2)
+
+
+@pytest.mark.parametrize(
+    "points", [[(1, 2, 0), (3, 4, 0)], [[1, 2], [3, 4]], np.array([[[1, 2, 0]], [[3, 4, 0]]], "f4")]
+)
+def test_points_of_a_plane_may_have_a_third_coordinate_that_is_0(points):
+    assert as_plane_points(points).tolist() == [[1, 2], [3, 4]]
+
+
+def test_other_points_of_space_are_no_points_of_a_plane():
+    with pytest.raises(ShapeError, match="board: z up to 5; need points of the plane z = 0"):
+        as_plane_points([(1, 2, 0), (3, 4, -5)], "board")
+    for points in (None, "3", [(1, 2, 3, 4)], [(1, 2, np.nan)], [], [(1, 2)]):
+        with pytest.raises(ShapeError, match=r"^board: .*need"):
+            as_plane_points(points, "board", 2)
 
 
 UNIT = [[0.0, 0.25], [0.5, 1.0]]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.arguments import as_flag, as_integer, as_sequence
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NotConverged, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Points, as_points
+from imgu_ros.types import Floats, Points, as_plane_points, as_points
 from imgu_ros.vision.camera.bundle import BundleProblem, BundleState
 from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel, as_distortion_model
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
@@ -111,7 +111,7 @@ def calibrate(
 
     Parameters
     ----------
-    board_xy : (N, 2) m, points of the plane z = 0, N >= 4
+    board_xy : (N, 2) m, points of the plane z = 0, N >= 4; (N, 3) with z = 0 as well
     views : each (N, 2) px, where the points were seen; at least three different ones, from different directions.
         Several of a camera and a board that stand still count as one (`view_choice.without_copies`)
     width, height : px, of the pictures
@@ -194,7 +194,7 @@ def calibrate(
 
 
 def _checked(board_xy: ArrayLike, views: Sequence[ArrayLike], width: int, height: int) -> tuple[Points, list[Points]]:
-    board_xy = as_points(board_xy, "board_xy", 4)
+    board_xy = as_plane_points(board_xy, "board_xy", 4)
     require_spread(board_xy, "board_xy")
     if len(views) < FEWEST_VIEWS:
         raise TooFewPoints(f"views: {len(views)}; need at least {FEWEST_VIEWS}, from different directions")

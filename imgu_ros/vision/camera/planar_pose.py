@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.arguments import as_number, require_type, shown
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
-from imgu_ros.types import Floats, Points, as_matrix, as_points
+from imgu_ros.types import Floats, Points, as_matrix, as_plane_points, as_points
 from imgu_ros.vision.camera.calibration_test import FREEDOM, LEAST_NOISE_PX, CalibrationTest
 from imgu_ros.vision.camera.camera_covariance import covariance_factor
 from imgu_ros.vision.camera.camera_derivatives import raw_by_camera
@@ -85,7 +85,7 @@ def planar_poses(
     """
     require_type(camera, Camera, "camera")
     noise_px = None if noise_px is None else as_number(noise_px, "noise_px")
-    plane_xy, pixels = as_points(plane_xy, "plane_xy"), as_points(pixels, "pixels")
+    plane_xy, pixels = as_plane_points(plane_xy, "plane_xy"), as_points(pixels, "pixels")
     if len(plane_xy) != len(pixels):
         raise ShapeError(f"pixels: {len(pixels)} points; need {len(plane_xy)}, one for each of plane_xy")
     require_spread(plane_xy, "plane_xy")

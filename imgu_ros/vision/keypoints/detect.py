@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from imgu_ros.arguments import as_flag, as_integer, require_type
+from imgu_ros.arguments import as_flag, as_integer, shown
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image
 from imgu_ros.vision.keypoints.dog import SIFT_SIGMA_PX, detect_dog
@@ -60,7 +60,8 @@ def detect(
     Raises
     ------
     ShapeError
-        If the pyramid is not uint8, the detector is unknown, max_count is not positive, or fast_arc not 9 to 12.
+        If the pyramid is neither uint8 nor float32 in [0, 1], the detector is unknown, max_count is not positive, or
+        fast_arc not 9 to 12.
 
     Examples
     --------
@@ -72,12 +73,13 @@ def detect(
     (100, 2)
     """
     even_scales = as_flag(even_scales, "even_scales")
-    require_type(pyramid, Pyramid, "pyramid")
+    if not isinstance(pyramid, Pyramid):
+        raise ShapeError(f"pyramid: {shown(pyramid)}; need a Pyramid, which build_pyramid makes of an image")
     max_count = as_integer(max_count, "max_count")
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")
-    if pyramid.levels[0].image.dtype != np.uint8:
-        raise ShapeError(f"pyramid: data type {pyramid.levels[0].image.dtype}; need uint8")
+    if pyramid.levels[0].image.dtype not in (np.uint8, np.float32):
+        raise ShapeError(f"pyramid: data type {pyramid.levels[0].image.dtype}; need uint8, or float32 in [0, 1]")
     detector = Detector(detector)
     function = _DETECTORS[detector]
     if detector is Detector.FAST:

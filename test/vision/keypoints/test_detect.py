@@ -218,7 +218,6 @@ def test_bad_pictures_are_refused(detector, picture):
     ("dtype", "detector", "count"),
     [
         (np.uint16, "fast", 5),
-        (np.float32, "orb", 5),
         (np.uint8, "sift", 5),
         (np.uint8, "fast", 0),
         (np.uint8, "orb", -1),
