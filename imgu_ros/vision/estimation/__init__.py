@@ -34,13 +34,7 @@ In the chain: `homography.sampler`, `homography.score`, `homography.threshold_px
 Notes: 7.1 to 7.3 and 7.5, 7.6; Hartley & Zisserman 2004, chapters 4 and 5, appendices 5 and 6.
 """
 
-from imgu_ros.vision.estimation.chance import (
-    Agreement,
-    ChanceModel,
-    binomial_tail,
-    pair_probability,
-    shares_of_places,
-)
+from imgu_ros.vision.estimation.chance import Agreement, ChanceModel, binomial_tail, pair_probability, shares_of_places
 from imgu_ros.vision.estimation.covariance import propagated_covariance, selection_efficiency, window_correlation
 from imgu_ros.vision.estimation.directions import DirectionsModel, align_directions
 from imgu_ros.vision.estimation.line import LineEstimate, LineModel, fit_line
