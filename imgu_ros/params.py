@@ -92,6 +92,11 @@ class CompressedParameters:
 
 @dataclass(frozen=True, slots=True)
 class CameraParameters:
+    info_file: str = parameter(
+        "",
+        "Calibration file of the camera (of `imgu calibrate`, ROS, OpenCV or Kalibr), used instead of camera_info or "
+        "for want of it; `~` and `$VARIABLES` are expanded.",
+    )
     rectified: bool = parameter(False, "The image is rectified: use P[:3, :3] of camera_info and no distortion.")
 
 
@@ -131,6 +136,11 @@ class DemosaicParameters:
 
 @dataclass(frozen=True, slots=True)
 class RawParameters:
+    encoding: str = parameter(
+        "",
+        "What the pixels are (`bayer_rggb8`, ...) when messages claim a wrong encoding, such as `mono8` for a mosaic; "
+        "empty: what messages say.",
+    )
     black_level: float = parameter(0.0, "Raw value of no light.", minimum=0.0, maximum=65535.0)
     white_level: float = parameter(
         0.0, "Raw value of full scale; 0: from `raw.significant_bits`.", minimum=0.0, maximum=65535.0

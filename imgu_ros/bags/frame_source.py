@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.bags.image_choice import choose_image_topic
-from imgu_ros.bags.reading import Bag, BagMessage
+from imgu_ros.bags.reading import Bag, BagMessage, Topic
 from imgu_ros.bags.topics import find_camera_info_topic
-from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.header_checks import HeaderChecks
 from imgu_ros.codec.pairing import Pair, Pairing
 from imgu_ros.errors import EncodingError
+from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.remarks import Remarks
@@ -44,31 +44,41 @@ class FrameSource:
     Parameters
     ----------
     bag : open
-    parameters : `image_topic`, `camera_info_topic`, `camera.rectified`, `frames.camera`
+    parameters : `image_topic`, `camera_info_topic`, `camera.info_file`, `camera.rectified`, `raw.encoding`,
+        `frames.camera`
 
     Attributes
     ----------
     image_topic : the topic that is read
-    camera_info_topic : its camera_info; None when there is none
+    camera_info_topic : its camera_info; None when there is none, or `camera.info_file` is used instead
+    camera_info_file : the file that is used instead; empty: none
     warnings : what the user should know about the choice of topics and the calibration; grows while frames are read
 
     Raises
     ------
     BagError, ParameterError
         If there is no such topic; see `choose_image_topic` and `find_camera_info_topic`.
+    FileError, ParameterError
+        If `camera.info_file` or `raw.encoding` cannot be used; see `frame_reading`.
     """
 
     def __init__(self, bag: Bag, parameters: Parameters) -> None:
         self._bag = bag
-        self._rectified = parameters.camera.rectified
+        self._reading = frame_reading(parameters)
         self._camera_frame = parameters.frames.camera
         self.warnings: list[str] = []
-        choice = choose_image_topic(bag, parameters.image_topic)
+        choice = choose_image_topic(bag, parameters.image_topic, parameters.raw.encoding)
         self.image_topic = choice.topic
         if choice.remark:
             self.warnings.append(choice.remark)
-        self.camera_info_topic = find_camera_info_topic(bag.topics, self.image_topic.name, parameters.camera_info_topic)
-        if not self._rectified and "rect" in self.image_topic.name:
+        self.camera_info_topic: Topic | None = None
+        self.camera_info_file = ""
+        if self._reading.file_camera is None:
+            name = parameters.camera_info_topic
+            self.camera_info_topic = find_camera_info_topic(bag.topics, self.image_topic.name, name)
+        else:
+            self.camera_info_file = self._reading.file_camera.source
+        if not self._reading.rectified and "rect" in self.image_topic.name:
             self.warnings.append(f"{self.image_topic.name}: sounds rectified; if it is, set -p camera.rectified:=true")
 
     def frames(self) -> Iterator[RecordedFrame]:
@@ -80,7 +90,7 @@ class FrameSource:
         remarks = Remarks()
         has_remark = False
         for pair in self._pairs(pairing, headers, names):
-            recorded = _recorded(pair, rectified=self._rectified)
+            recorded = _recorded(pair, self._reading)
             if recorded.frame.image.remark and not has_remark:
                 has_remark = True
                 self.warnings.append(f"{self.image_topic.name}: {recorded.frame.image.remark}")
@@ -109,7 +119,7 @@ class FrameSource:
         if frame.camera is not None:
             return frame.camera_remarks
         why = frame.camera_reason or self._why_no_camera_info(pair)
-        return [f"uncalibrated: {why}; homographies, but no poses"]
+        return [f"uncalibrated: {why}; homographies, but no poses; a calibration file helps: -p camera.info_file:=FILE"]
 
     def _why_no_camera_info(self, pair: Pair[BagMessage, Any]) -> str:
         if self.camera_info_topic is None:
@@ -117,10 +127,10 @@ class FrameSource:
         return f"{self.camera_info_topic.name} has none for the image at {pair.stamp_ns} ns"
 
 
-def _recorded(pair: Pair[BagMessage, Any], *, rectified: bool) -> RecordedFrame:
+def _recorded(pair: Pair[BagMessage, Any], reading: FrameReading) -> RecordedFrame:
     message = pair.image.message
     try:
-        frame = decode_frame(message, pair.camera_info, rectified=rectified)
+        frame = reading.frame(message, pair.camera_info)
         return RecordedFrame(pair.image.time_ns, frame, "")
     except EncodingError as error:
         header = decode_header(message)

@@ -28,7 +28,7 @@ class ImageChoice:
     remark: str = ""
 
 
-def choose_image_topic(bag: Bag, name: str = "") -> ImageChoice:
+def choose_image_topic(bag: Bag, name: str = "", encoding: str = "") -> ImageChoice:
     """Choose the image topic of a bag by its name, else by what the first messages of each hold.
 
     Pictures of a scene (mosaics, colour, grey) come before generic 8-bit ones, before depth and other measurements, and
@@ -40,6 +40,7 @@ def choose_image_topic(bag: Bag, name: str = "") -> ImageChoice:
     ----------
     bag : open
     name : the wanted one, the parameter `image_topic`; empty: choose
+    encoding : what the pixels are, instead of what messages say: topics whose pixels cannot be that count as unreadable
 
     Raises
     ------
@@ -50,7 +51,7 @@ def choose_image_topic(bag: Bag, name: str = "") -> ImageChoice:
     candidates = [topic for topic in image_topics(bag.topics) if topic.count]
     if name or len(candidates) < 2:
         return ImageChoice(first)
-    ranked = sorted((_candidate(bag, topic) for topic in candidates), key=lambda candidate: candidate.rank)
+    ranked = sorted((_candidate(bag, topic, encoding) for topic in candidates), key=lambda candidate: candidate.rank)
     chosen, *others = ranked
     listed = ", ".join(f"{candidate.topic.name} ({candidate.content})" for candidate in others[:_MOST_LISTED])
     more = f" and {len(others) - _MOST_LISTED} more" if len(others) > _MOST_LISTED else ""
@@ -91,13 +92,13 @@ class _Candidate:
     rank: tuple[object, ...]
 
 
-def _candidate(bag: Bag, topic: Topic) -> _Candidate:
+def _candidate(bag: Bag, topic: Topic, encoding: str) -> _Candidate:
     image: RawImage | None = None
     content = "unreadable"
     for message in islice(bag.messages([topic.name]), _TRIED):
         content = described_encoding(message.message) or "no encoding"
         try:
-            image = decode_frame(message.message, None, rectified=False).image
+            image = decode_frame(message.message, None, rectified=False, encoding=encoding).image
         except EncodingError:
             content = f"{content}: unreadable"
         else:

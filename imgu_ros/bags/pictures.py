@@ -32,25 +32,26 @@ class RecordedPicture:
     remarks: tuple[str, ...] = ()
 
 
-def recorded_pictures(bag: Bag, topic: str = "") -> Iterator[RecordedPicture]:
+def recorded_pictures(bag: Bag, topic: str = "", encoding: str = "") -> Iterator[RecordedPicture]:
     """Yield the images of a topic, in the bag's order.
 
     Parameters
     ----------
     bag : open
     topic : its name; empty: see `choose_image_topic`
+    encoding : what the pixels are, instead of what messages say; empty: what they say
 
     Raises
     ------
     BagError, ParameterError
         If there is no such topic; see `choose_image_topic`.
     """
-    choice = choose_image_topic(bag, topic)
+    choice = choose_image_topic(bag, topic, encoding)
     remarks = Remarks()
     for message in bag.messages([choice.topic.name]):
         stamp_ns = decode_header(message.message).stamp_ns
         try:
-            frame = decode_frame(message.message, None, rectified=False)
+            frame = decode_frame(message.message, None, rectified=False, encoding=encoding)
         except EncodingError as error:
             yield RecordedPicture(stamp_ns, None, str(error), tuple(remarks.news([choice.remark])))
         else:

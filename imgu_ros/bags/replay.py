@@ -98,6 +98,7 @@ def replay(
             truth="" if truth is None else str(truth),
             image_topic=source.image_topic.name,
             camera_info_topic="" if source.camera_info_topic is None else source.camera_info_topic.name,
+            camera_info_file=source.camera_info_file,
             image_size="{} x {}".format(*passed.image_size) if passed.layout else "",
             layout=passed.layout,
         )

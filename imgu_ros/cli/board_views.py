@@ -9,6 +9,7 @@ from pathlib import Path
 
 from imgu_ros.bags.pictures import recorded_pictures
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.cli.picture_layout import picture_layout
 from imgu_ros.errors import BagError, FileError, ImguError, ParameterError, TooFewPoints
 from imgu_ros.files.images import read_image_file
 from imgu_ros.params import Parameters
@@ -17,8 +18,7 @@ from imgu_ros.types import Image, Points
 from imgu_ros.vision.camera.calibration import FEWEST_VIEWS
 from imgu_ros.vision.camera.chessboard import FEWEST_CORNERS, Chessboard, find_chessboard
 from imgu_ros.vision.camera.view_choice import choose_views
-from imgu_ros.vision.formation.cfa import BayerPattern
-from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+from imgu_ros.vision.formation.layout import RawImage
 
 _RECORDINGS = {".bag", ".mcap", ".db3", ".zstd"}
 _IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".bmp"}
@@ -90,8 +90,8 @@ def find_board_views(
     ----------
     paths : images and folders, or the parts of one bag
     board : what to look for
-    parameters : `image_topic`, and how raw pixels are developed
-    pattern : the image files are Bayer mosaics of this pattern; None: they are pictures
+    parameters : `image_topic`, `raw.encoding`, and how raw pixels are developed
+    pattern : the image files are Bayer mosaics of this pattern; None: they are what `raw.encoding` says, else pictures
     most : views to choose at most
     on_progress : called after each picture with the number of those done and, when it is known, of all
     on_trial : called likewise while boards of other sizes are looked for, when this one is in no picture
@@ -107,7 +107,7 @@ def find_board_views(
     if bags and len(bags) < len(paths):
         raise ParameterError(f"{paths[0]}: bags and images mixed; need one bag, or images")
     if bags and pattern:
-        raise ParameterError(f"--pattern: {pattern} for a bag; its encoding says so: need it for image files only")
+        raise ParameterError(f"--pattern: {pattern} for a bag; need -p raw.encoding:=bayer_{pattern}8")
     if not bags and parameters.image_topic:
         raise ParameterError(f"image_topic: {parameters.image_topic!r} for image files; need it for a bag only")
     files = () if bags else _image_files(paths)
@@ -218,21 +218,15 @@ def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None
     for path in files:
         try:
             file = read_image_file(path)
-            pixels = file.pixels
-            if pattern and pixels.ndim != 2:
-                raise FileError(f"{path}: {pixels.shape[2]} channels; need one for --pattern")
-            if pattern:
-                layout = PixelLayout(ColorModel.BAYER, BayerPattern(pattern))
-            else:
-                layout = PixelLayout(ColorModel.MONO if pixels.ndim == 2 else ColorModel.RGB)
-            yield replace(_developed(str(path), RawImage(pixels, layout), parameters), notes=file.notes)
+            layout = picture_layout(path, file.pixels, pattern, parameters.raw.encoding)
+            yield replace(_developed(str(path), RawImage(file.pixels, layout), parameters), notes=file.notes)
         except FileError as error:
             yield _Picture(str(path), None, str(error).removeprefix(f"{path}: "))
 
 
 def _of_bag(bags: Sequence[Path], parameters: Parameters) -> Iterator[_Picture]:
     with open_bag(bags) as bag:
-        for picture in recorded_pictures(bag, parameters.image_topic):
+        for picture in recorded_pictures(bag, parameters.image_topic, parameters.raw.encoding):
             name = f"{picture.stamp_ns / 1e9:.3f} s"
             if picture.image is None:
                 yield _Picture(name, None, picture.reason, picture.remarks)

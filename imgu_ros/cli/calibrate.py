@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         from imgu_ros.report.calibration import draw_calibration
 
         draw_calibration(arguments.picture, calibration, [view.corners for view in found.views])
-    print(f"\n{arguments.out}")
+    print(f"\n{arguments.out}: use it with -p camera.info_file:={arguments.out}, in imgu replay as in imgu node")
     return 0
 
 

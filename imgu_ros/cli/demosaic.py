@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 HELP = "turn a raw image file into a colour image"
 
-_USED = ("demosaic.method", "raw.black_level", "raw.white_level", "raw.significant_bits", "raw.gains")
+_USED = ("demosaic.method", "raw.encoding", "raw.black_level", "raw.white_level", "raw.significant_bits", "raw.gains")
 _DTYPES = {"uint8": "uint8", "uint16": "<u2", "uint16le": "<u2", "uint16be": ">u2"}
 
 
@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "input", type=Path, metavar="IN", help="raw image: PGM, PNG or TIFF, 8 or 16 bit; or headerless"
     )
     parser.add_argument("output", type=Path, metavar="OUT", help="colour image: PPM, PNG or TIFF")
-    parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), required=True, help="top-left 2x2 quad")
+    parser.add_argument(
+        "--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="top-left 2x2 quad; needed without -p raw.encoding"
+    )
     parser.add_argument("--method", choices=method.choices, help=f"default: {method.default}")
     levels = parser.add_argument_group("levels, applied to the raw values first")
     levels.add_argument("--black", type=float, metavar="N", help="raw value of no light")
@@ -44,13 +46,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, develop, write."""
     parameters = _parameters(arguments)
+    if not (arguments.pattern or parameters.raw.encoding):
+        raise ParameterError("--pattern: none; need the mosaic's, such as --pattern rggb")
     raw = _read_raw(arguments)
+    from imgu_ros.cli.picture_layout import picture_layout
     from imgu_ros.files.images import write_image
-    from imgu_ros.vision.formation.cfa import BayerPattern
     from imgu_ros.vision.formation.demosaic import demosaic
     from imgu_ros.vision.formation.levels import with_levels
 
-    pattern, levels, top = BayerPattern(arguments.pattern), parameters.raw, 2 ** (8 * raw.dtype.itemsize) - 1
+    pattern = picture_layout(arguments.input, raw, arguments.pattern, parameters.raw.encoding).pattern
+    if pattern is None:
+        raise ParameterError(f"raw.encoding: {parameters.raw.encoding}; need a Bayer encoding, such as bayer_rggb8")
+    levels, top = parameters.raw, 2 ** (8 * raw.dtype.itemsize) - 1
     white = levels.white_level or (2.0**levels.significant_bits - 1 if levels.significant_bits else top)
     if not levels.black_level < white <= top:
         raise ParameterError(

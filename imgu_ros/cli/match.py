@@ -46,9 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--camera-info",
         type=Path,
         metavar="YAML",
-        help="calibration of the camera, of ROS, OpenCV or Kalibr; for the pose",
+        help="calibration of the camera, of ROS, OpenCV or Kalibr, for the pose; short for -p camera.info_file:=YAML",
     )
-    parser.add_argument("--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="IMAGE is a Bayer mosaic")
+    parser.add_argument(
+        "--pattern", choices=("rggb", "bggr", "grbg", "gbrg"), help="IMAGE is a Bayer mosaic; as -p raw.encoding"
+    )
     add_parameter_options(parser)
 
 
@@ -63,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.perception.targets import prepare_targets
 
     targets = prepare_targets(load_target_images(parameters.targets, warn), parameters)
-    frame = _frame(arguments)
+    frame = _frame(arguments, parameters)
     if arguments.warp:
         _check_warp(arguments.warp, frame)
     result = Chain(_with_transfer(parameters, frame), targets).process(frame)
@@ -206,6 +208,8 @@ def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Param
     width = 0.0 if arguments.width_m is None else arguments.width_m
     # The lists are checked together: clear the parallel ones that a parameter file may have set.
     values: dict[str, object] = {"targets.names": [], "targets.poses": []}
+    if arguments.camera_info:
+        values["camera.info_file"] = str(arguments.camera_info)
     return parameters_from(
         {**values, "targets.images": [str(arguments.target)], "targets.widths_m": [width]}, parameters
     )
@@ -221,31 +225,26 @@ def _with_transfer(parameters: Parameters, frame: Frame) -> Parameters:
     return replace(parameters, raw=replace(parameters.raw, transfer="srgb"))
 
 
-def _frame(arguments: argparse.Namespace) -> Frame:
+def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
+    from imgu_ros.cli.picture_layout import picture_layout
     from imgu_ros.cli.warning import warn
     from imgu_ros.files.images import read_image_file
     from imgu_ros.perception.frame import Frame
-    from imgu_ros.vision.formation.cfa import BayerPattern
-    from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
+    from imgu_ros.vision.formation.layout import RawImage
 
     file = read_image_file(arguments.image)
     pixels = file.pixels
     for note in file.notes:
         warn(f"{arguments.image}: {note}")
-    if arguments.pattern:
-        from imgu_ros.errors import FileError
-
-        if pixels.ndim != 2:
-            raise FileError(f"{arguments.image}: {pixels.shape[2]} channels; need one for --pattern")
-        layout = PixelLayout(ColorModel.BAYER, BayerPattern(arguments.pattern))
-    else:
-        layout = PixelLayout(ColorModel.MONO if pixels.ndim == 2 else ColorModel.RGB)
-    image = RawImage(pixels, layout)
-    if not arguments.camera_info:
+    layout = picture_layout(arguments.image, pixels, arguments.pattern, parameters.raw.encoding)
+    image, camera = RawImage(pixels, layout), parameters.camera
+    if not camera.info_file:
         return Frame(image, 0, "camera", None)
     from imgu_ros.files.camera_info_file import read_calibration
+    from imgu_ros.files.target_images import expanded_path
 
-    read = read_calibration(arguments.camera_info, image_size=(pixels.shape[1], pixels.shape[0]))
+    size = (pixels.shape[1], pixels.shape[0])
+    read = read_calibration(expanded_path(camera.info_file), rectified=camera.rectified, image_size=size)
     return Frame(image, 0, "camera", read.camera, read.reason, read.remarks)
 
 

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 _GROUP = "parameters (see `imgu params`)"
 
 
-def add_parameter_options(parser: argparse.ArgumentParser, only: tuple[str, ...] = ()) -> None:
+def add_parameter_options(
+    parser: argparse.ArgumentParser, only: tuple[str, ...] = (), without: tuple[str, ...] = ()
+) -> None:
     """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated and count as in ROS 2.
 
     Parameters
@@ -22,10 +24,11 @@ def add_parameter_options(parser: argparse.ArgumentParser, only: tuple[str, ...]
     parser : of the command
     only : names and groups of the parameters that mean something to the command; empty: all. `-p` refuses the others;
         a file may hold them, as it may be the whole chain's
+    without : names of parameters that mean nothing to the command, of those that do otherwise
     """
     used = ", ".join(f"{name}.*" if _is_group(name) else name for name in only)
     group = parser.add_argument_group(_GROUP, f"used here: {used}" if used else None)
-    parser.set_defaults(used_parameters=only)
+    parser.set_defaults(used_parameters=only, unused_parameters=without)
     group.add_argument(
         "-p", "--param", dest="overrides", metavar="NAME:=VALUE", action="append", type=_override, default=[],
         help="set one parameter; the value is YAML, as with --ros-args",
@@ -63,12 +66,18 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
         else:
             overridden.append(given.add_override(text))
     parameters = parameters_from(dict(extra or {}) | given.values())
+    if parameters.raw.encoding:
+        from imgu_ros.files.frame_reading import check_encoding
+
+        check_encoding(parameters.raw.encoding)
     for line in given.warnings():
         print(f"imgu: warning: {line}", file=sys.stderr)
     only = arguments.used_parameters
     for name in overridden:
         if only and not any(name == one or name.startswith(f"{one}.") for one in only):
             raise ParameterError(f"{name}: no part of this command; need one of {', '.join(only)}")
+        if name in arguments.unused_parameters:
+            raise ParameterError(f"{name}: no part of this command, which makes its own frames; need others")
     return parameters
 
 

@@ -20,7 +20,7 @@ from imgu_ros.types import Image
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 
-def decode_compressed_image(message: Any) -> RawImage:
+def decode_compressed_image(message: Any, encoding: str = "") -> RawImage:
     """Decompress a sensor_msgs/CompressedImage: JPEG, or PNG of 8 or 16 bit.
 
     The data say themselves whether they are JPEG or PNG. The format string says what the picture was made from, as
@@ -30,10 +30,16 @@ def decode_compressed_image(message: Any) -> RawImage:
     marker alone is read, which is said in the image's `remark`. An orientation in Exif is not applied: the camera's
     model belongs to the pixels as they were read out.
 
+    Parameters
+    ----------
+    message : sensor_msgs/CompressedImage
+    encoding : what the picture was made from, instead of what the format says; empty: what it says
+
     Raises
     ------
     EncodingError
-        If the data are neither JPEG nor PNG, cut, damaged, of more than 2**28 pixels, or do not fit the format.
+        If the data are neither JPEG nor PNG, cut, damaged, of more than 2**28 pixels, or do not fit the format or
+        `encoding`.
     """
     data = data_bytes(message)
     text = str(message.format)
@@ -46,7 +52,8 @@ def decode_compressed_image(message: Any) -> RawImage:
     pixels = picture.pixels
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
-    layout = _layout(pixels, _parse_format(text))
+    said = _parse_format(text)
+    layout = _overridden(pixels, said, encoding_named(encoding)) if encoding else _layout(pixels, said)
     pixels.flags.writeable = False
     return RawImage(pixels, layout, picture.remark)
 
@@ -154,6 +161,35 @@ def _layout(pixels: Image, said: _Format) -> PixelLayout:
     if channels not in colors:
         raise EncodingError(f"compressed image: {channels} channels; need 1, 3 or 4")
     return PixelLayout(colors[channels])
+
+
+def _overridden(pixels: Image, said: _Format, wanted: Encoding) -> PixelLayout:
+    """Return the layout of a picture that was made from another encoding than its format says."""
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    color = wanted.layout.color
+    packed = wanted.planar_rows or color in (ColorModel.UYVY, ColorModel.YUYV, ColorModel.ARGB)
+    if packed or (wanted.channels, wanted.dtype) != (channels, pixels.dtype):
+        bits = 8 * pixels.dtype.itemsize
+        raise EncodingError(
+            f"raw.encoding: {wanted.name} cannot be in a picture file with {channels} "
+            f"channel{'s' * (channels > 1)} of {bits} bits; need an encoding of that kind"
+        )
+    if color not in _ORDERS:
+        return wanted.layout
+    # The format's order was made that of the file; if it was the wrong one, the file's is wrong in the same way.
+    claimed = said.original if said.original[:3] in ("rgb", "bgr") else "rgb"
+    swapped = (claimed[:3] == "rgb") != (color in (ColorModel.RGB, ColorModel.RGBA))
+    layout = _layout(pixels, _Format("", said.rgb_inside))
+    return PixelLayout(_ORDERS[layout.color]) if swapped else layout
+
+
+#: Colour models with the other order of red and blue.
+_ORDERS = {
+    ColorModel.RGB: ColorModel.BGR,
+    ColorModel.BGR: ColorModel.RGB,
+    ColorModel.RGBA: ColorModel.BGRA,
+    ColorModel.BGRA: ColorModel.RGBA,
+}
 
 
 def _is_generic(name: str, channels: int) -> bool:

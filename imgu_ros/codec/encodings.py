@@ -69,6 +69,12 @@ def encoding_named(name: str) -> Encoding:
     raise EncodingError(f"encoding: {start!r} is unknown; {hint}")
 
 
+def encoding_names() -> tuple[str, ...]:
+    """Return the names of encodings that are known, of the generic ones the usual."""
+    return (*_NAMED, *(f"{depth}C{n}" for depth in _DEPTHS for n in (1, 3)))
+
+
+@lru_cache(maxsize=256)
 def is_image_encoding(name: str) -> bool:
     """Whether the chain can read images of this encoding."""
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from imgu_ros.codec.camera_info import decode_camera_info
+from imgu_ros.codec.camera_reading import CameraDescription, CameraReading, read_camera
 from imgu_ros.codec.compressed_image import decode_compressed_image
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.image import decode_image
@@ -12,14 +13,17 @@ from imgu_ros.errors import EncodingError
 from imgu_ros.perception.frame import Frame
 
 
-def decode_frame(image_message: Any, camera_info_message: Any | None, *, rectified: bool) -> Frame:
+def decode_frame(
+    image_message: Any, camera_info: Any | CameraDescription | None, *, rectified: bool, encoding: str = ""
+) -> Frame:
     """Read a sensor_msgs/Image or CompressedImage, and the camera_info that belongs to it.
 
     Parameters
     ----------
     image_message : of rclpy or of rosbags, ROS 2 or ROS 1
-    camera_info_message : None when there is none; the frame's camera is then None
+    camera_info : the message, or what a calibration file says; None when there is none: the frame's camera is None
     rectified : see `decode_camera_info`
+    encoding : what the pixels are, instead of what the image says; empty: what it says
 
     Raises
     ------
@@ -28,14 +32,23 @@ def decode_frame(image_message: Any, camera_info_message: Any | None, *, rectifi
         used is the frame's `camera_reason`.
     """
     if hasattr(image_message, "encoding"):
-        image = decode_image(image_message)
+        image = decode_image(image_message, encoding)
     elif hasattr(image_message, "format"):
-        image = decode_compressed_image(image_message)
+        image = decode_compressed_image(image_message, encoding)
     else:
         raise EncodingError(f"image: {type(image_message).__name__}; need sensor_msgs/Image or CompressedImage")
     header = decode_header(image_message)
-    if camera_info_message is None:
+    if camera_info is None:
         return Frame(image, header.stamp_ns, header.frame_id, None)
     height, width = image.pixels.shape[:2]
-    read = decode_camera_info(camera_info_message, rectified=rectified, image_size=(width, height))
+    read = read_camera_info(camera_info, rectified=rectified, image_size=(width, height))
     return Frame(image, header.stamp_ns, header.frame_id, read.camera, read.reason, read.remarks)
+
+
+def read_camera_info(
+    camera_info: Any | CameraDescription, *, rectified: bool, image_size: tuple[int, int] | None
+) -> CameraReading:
+    """Read the camera of a camera_info message, or of what a calibration file says; see `read_camera`."""
+    if isinstance(camera_info, CameraDescription):
+        return read_camera(camera_info, rectified=rectified, image_size=image_size)
+    return decode_camera_info(camera_info, rectified=rectified, image_size=image_size)

@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imgu_ros.codec.encodings import Encoding, encoding_named
+from imgu_ros.codec.encodings import Encoding, encoding_named, is_image_encoding
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
 from imgu_ros.errors import EncodingError
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 
+#: Rows of bytes are padded by less than this.
+_MOST_PADDING = 64
 
-def decode_image(message: Any) -> RawImage:
+
+def decode_image(message: Any, encoding: str = "") -> RawImage:
     """Read a sensor_msgs/Image without copying its pixels.
 
     The result is a read-only view of the message's data. A copy is made only where a view would be wrong or slow: of
@@ -28,6 +31,11 @@ def decode_image(message: Any) -> RawImage:
     Where the row length cannot be what `step` says and the data are exactly rows without padding, they are read as
     such; bytes behind the last row are left. Either is said in the image's `remark`. Of YUV in planes the luma is read.
 
+    Parameters
+    ----------
+    message : sensor_msgs/Image
+    encoding : what the pixels are, instead of what the message says; empty: what it says
+
     Returns
     -------
     RawImage
@@ -36,22 +44,25 @@ def decode_image(message: Any) -> RawImage:
     Raises
     ------
     EncodingError
-        If the encoding is unknown, or the data are too few for size and row length.
+        If the encoding is unknown, or the data are too few for size and row length; or if the pixels cannot be what
+        `encoding` says.
     """
-    encoding = encoding_named(str(message.encoding))
+    known = encoding_named(encoding or str(message.encoding))
     width, height, step = int(message.width), int(message.height), int(message.step)
     data = data_bytes(message)
-    rows = (_plane_rows if encoding.planar_rows else _rows)(encoding, width, height, step, len(data))
-    dimensions = 2 if encoding.channels == 1 else 3
-    shape = (rows.height, width, encoding.channels)[:dimensions]
-    strides = (rows.step, encoding.pixel_bytes, encoding.dtype.itemsize)[:dimensions]
-    dtype = encoding.dtype.newbyteorder(">" if message.is_bigendian else "<")
+    if encoding:
+        _check_override(known, str(message.encoding), width, step)
+    rows = (_plane_rows if known.planar_rows else _rows)(known, width, height, step, len(data))
+    dimensions = 2 if known.channels == 1 else 3
+    shape = (rows.height, width, known.channels)[:dimensions]
+    strides = (rows.step, known.pixel_bytes, known.dtype.itemsize)[:dimensions]
+    dtype = known.dtype.newbyteorder(">" if message.is_bigendian else "<")
     # The last row's padding is not part of the view, whose strides end inside the data: see _rows.
     pixels: Image = np.ndarray(shape, dtype, buffer=data, strides=strides)
     if not (pixels.dtype.isnative and pixels.flags.aligned):
-        pixels = pixels.astype(encoding.dtype, order="C")
+        pixels = pixels.astype(known.dtype, order="C")
     pixels.flags.writeable = False
-    return RawImage(pixels, encoding.layout, rows.remark)
+    return RawImage(pixels, known.layout, rows.remark)
 
 
 def image_message(
@@ -113,6 +124,26 @@ def data_bytes(message: Any) -> NDArray[np.uint8]:
         return np.frombuffer(view, np.uint8) if len(view) else np.empty(0, np.uint8)
     except (TypeError, ValueError) as error:
         raise EncodingError(f"data: {type(message.data).__name__} ({error}); need contiguous bytes") from None
+
+
+def _check_override(wanted: Encoding, claimed: str, width: int, step: int) -> None:
+    """Raise unless pixels that a message claims to be of one encoding can be of another."""
+    if is_image_encoding(claimed):
+        said = encoding_named(claimed)
+        if said.pixel_bytes != wanted.pixel_bytes:
+            raise EncodingError(
+                f"raw.encoding: {wanted.name} has {_bytes(wanted.pixel_bytes)} a pixel, the message's {said.name} "
+                f"{said.pixel_bytes}; need an encoding of {_bytes(said.pixel_bytes)} a pixel"
+            )
+    elif width > 0 and step // width > wanted.pixel_bytes and step - width * wanted.pixel_bytes >= _MOST_PADDING:
+        raise EncodingError(
+            f"raw.encoding: {wanted.name} has {_bytes(wanted.pixel_bytes)} a pixel, the message's {claimed[:40]!r} "
+            f"rows of {step} bytes for {width} px; need an encoding of {_bytes(step // width)} a pixel"
+        )
+
+
+def _bytes(count: int) -> str:
+    return f"{count} byte{'s' * (count > 1)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,7 @@ def load_target_images(
 
 
 def expanded_path(text: str) -> Path:
-    """Return a path with `~` and `$VARIABLES` replaced.
+    """Return the path that a parameter names, with `~` and `$VARIABLES` replaced.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def expanded_path(text: str) -> Path:
     path = os.path.expandvars(os.path.expanduser(text))
     unset = re.search(r"\$(\w+|\{[^}]*\})", path)
     if unset and not os.path.exists(path):
-        raise FileError(f"{text}: variable {unset.group()} is not set; need it for the path of an image")
+        raise FileError(f"{text}: variable {unset.group()} is not set; need it for the path")
     return Path(path)
 
 

@@ -45,6 +45,7 @@ class Source:
     ----------
     bags, truth : paths as given; no truth: empty
     image_topic, camera_info_topic : no camera_info: empty
+    camera_info_file : what was used instead of camera_info; empty: nothing
     image_size : width x height of the first frame, empty without one
     layout : of the first frame, such as `bayer rggb 16 bit`
     """
@@ -53,6 +54,7 @@ class Source:
     truth: str
     image_topic: str
     camera_info_topic: str
+    camera_info_file: str
     image_size: str
     layout: str
 

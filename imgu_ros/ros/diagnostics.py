@@ -147,15 +147,15 @@ def _not_seen(last: Result, source: ImageInput, worker: Worker, now: float) -> I
 
 
 def unusable_camera_info(reason: str, topic: str) -> str:
-    """Return the line that says why a camera_info cannot be used."""
-    said = f"uncalibrated: {reason}, on {topic}; homographies, no poses"
-    return f"{said}; correct it, or calibrate the camera (imgu calibrate)"
+    """Return the line that says why a camera_info cannot be used; `topic` is empty when it comes from a file."""
+    said = f"uncalibrated: {reason}{f', on {topic}' if topic else ''}; homographies, no poses"
+    return f"{said}; correct it, or calibrate the camera (imgu calibrate) and set camera.info_file"
 
 
 def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> Iterator[Cause]:
     reason = last.frame.camera_reason
     if reason:
-        yield Cause(Kind.UNCALIBRATED, unusable_camera_info(reason, source.topics.camera_info), is_logged=True)
+        yield Cause(Kind.UNCALIBRATED, unusable_camera_info(reason, source.camera_info_topic), is_logged=True)
         return
     for cause in camera_info_causes(node, source, now):
         yield Cause(cause.kind, f"uncalibrated: {cause.text}; homographies, no poses")

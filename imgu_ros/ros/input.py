@@ -86,6 +86,7 @@ class ImageInput:
         self._node = node
         for type_name in (self.topics.image_type, CAMERA_INFO_TYPE):
             typestore().get_msgdef(type_name)  # made at the first use, for which no frame should wait
+        self._expects_camera_info = True
         self._pairing: Pairing[Job, Any] = Pairing()
         self._unmatched_before = 0
         self._image: Subscription | None = None
@@ -99,6 +100,16 @@ class ImageInput:
     def is_open(self) -> bool:
         """Whether the topics are subscribed."""
         return self._image is not None
+
+    @property
+    def expects_camera_info(self) -> bool:
+        """Whether camera_info is subscribed with the images."""
+        return self._expects_camera_info
+
+    @property
+    def camera_info_topic(self) -> str:
+        """The topic that the camera comes from; empty when it comes from a file."""
+        return self.topics.camera_info if self._expects_camera_info else ""
 
     @property
     def looks_rectified(self) -> bool:
@@ -125,20 +136,12 @@ class ImageInput:
         if self._image is not None:
             return
         self._unmatched_before += self._pairing.unmatched
-        self._pairing = Pairing()
+        self._pairing = Pairing(expects_camera_info=self._expects_camera_info)
         self.headers = HeaderChecks(self.topics.image, self.topics.camera_info)
         self._opened_s = time.monotonic()
         # The small topic first: its subscription should be ready when the first image comes.
-        self._camera_info = self._node.create_subscription(
-            message_class(CAMERA_INFO_TYPE),
-            self.topics.camera_info,
-            self._on_camera_info,
-            camera_info_qos(),
-            callback_group=self.group,
-            event_callbacks=QosCounters().subscription_callbacks(),
-            qos_overriding_options=overridable(),
-            raw=True,
-        )
+        if self._expects_camera_info:
+            self._camera_info = self._subscribed_camera_info()
         self._image = self._node.create_subscription(
             message_class(self.topics.image_type),
             self.topics.image,
@@ -149,6 +152,22 @@ class ImageInput:
             qos_overriding_options=overridable(),
             raw=True,
         )
+
+    def expect_camera_info(self, expected: bool) -> None:
+        """Pair images with camera_info, or let each pass at once, alone: when the camera is known from a file."""
+        if expected == self._expects_camera_info:
+            return
+        self._expects_camera_info = expected
+        if self._image is None:
+            return
+        self._hand_over(self._pairing.flush())
+        self._unmatched_before += self._pairing.unmatched
+        self._pairing = Pairing(expects_camera_info=expected)
+        if expected:
+            self._camera_info = self._subscribed_camera_info()
+        elif self._camera_info is not None:
+            self._node.destroy_subscription(self._camera_info)
+            self._camera_info = None
 
     def close(self) -> None:
         """Drop the subscriptions and what waits."""
@@ -185,6 +204,18 @@ class ImageInput:
     def wanted_camera_info(self) -> Wanted:
         """Return what the camera_info subscription asks for; RuntimeError while there is none."""
         return _wanted(self._camera_info, self.topics.camera_info, CAMERA_INFO_TYPE, "camera_info")
+
+    def _subscribed_camera_info(self) -> Subscription:
+        return self._node.create_subscription(
+            message_class(CAMERA_INFO_TYPE),
+            self.topics.camera_info,
+            self._on_camera_info,
+            camera_info_qos(),
+            callback_group=self.group,
+            event_callbacks=QosCounters().subscription_callbacks(),
+            qos_overriding_options=overridable(),
+            raw=True,
+        )
 
     def _on_image(self, data: bytes) -> None:
         message, self.unreadable = self._read(self.topics.image, self.topics.image_type, data)

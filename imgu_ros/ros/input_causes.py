@@ -49,7 +49,7 @@ def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause
 
 def camera_info_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
     """Yield why images have no camera_info, or not their own."""
-    if source.open_s(now_s) < _DISCOVERY_S or not source.arrivals.recent(now_s):
+    if not source.expects_camera_info or source.open_s(now_s) < _DISCOVERY_S or not source.arrivals.recent(now_s):
         return
     topic, pairing = source.topics.camera_info, source.pairing
     if pairing.last_info_ns is None:

@@ -15,7 +15,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from imgu_ros.errors import ParameterError
+from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.files.frame_reading import as_read, frame_reading
 from imgu_ros.nearest_name import nearest_name
 from imgu_ros.parameter_values import checked_value, is_empty_group, parameters_from, value_or_empty
 from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
@@ -154,7 +155,8 @@ class ParameterServer:
             # Staged values may come one by one; those that come in one call are meant to fit.
             if len(staged) > 1:
                 parameters_from(_split(self._values)[1] | staged, together)
-        except ParameterError as error:
+            frame_reading(together, as_read(self._live))
+        except ImguError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from imgu_ros.errors import ImguError
+from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.perception.building import Built
 from imgu_ros.perception.remarks import Remarks
@@ -70,7 +71,11 @@ class PerceptionNode(ManagedNode[ImageInput]):
         return self._worker.close() and ended
 
     def _load(self) -> None:
-        self._adopt(self._worker.build(load_target_images(self._server.reload().targets, self._log_warning)))
+        parameters = self._server.reload()
+        reading = frame_reading(parameters)
+        built = self._worker.build(load_target_images(parameters.targets, self._log_warning))
+        self._worker.read_with(reading, parameters)
+        self._adopt(built)
 
     def _drop(self) -> None:
         with self._worker.between_frames():
@@ -122,6 +127,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
             except ImguError as error:
                 self._log_failure(f"parameters: {error}")
                 return
+        self._input.expect_camera_info(not self._server.parameters.camera.info_file)
         if self._lifecycle == "active" and not self._paused and self._outputs.wanted():
             self._input.open()
             self._input.check_waiting()
@@ -140,7 +146,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
         if result.frame.image.remark:
             self._warn_once("image", f"{self._input.topics.image}: {result.frame.image.remark}")
         reason = result.frame.camera_reason
-        unusable = [unusable_camera_info(reason, self._input.topics.camera_info)] if reason else ()
+        unusable = [unusable_camera_info(reason, self._input.camera_info_topic)] if reason else ()
         for line in self._remarks.news((*result.camera_remarks, *unusable)):
             self.get_logger().warning(line)
         now_ns = self.get_clock().now().nanoseconds
@@ -186,8 +192,10 @@ class PerceptionNode(ManagedNode[ImageInput]):
         return "all tracks and paths forgotten"
 
     async def _reload(self) -> str:
-        targets = self._server.reload().targets
-        await self._adopt_soon(lambda: self._worker.build(load_target_images(targets, self._log_warning)))
+        parameters = self._server.reload()
+        reading = frame_reading(parameters)  # the file may have changed
+        await self._adopt_soon(lambda: self._worker.build(load_target_images(parameters.targets, self._log_warning)))
+        self._worker.read_with(reading, parameters)
         return "targets: " + (", ".join(target.name for target in self._worker.targets) or "none")
 
     async def _set_target_from_view(self) -> str:

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from rclpy.node import Node
 
-from imgu_ros.codec.camera_info import decode_camera_info
 from imgu_ros.codec.camera_reading import CameraReading
 from imgu_ros.codec.header import Header
+from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.parts import Parts
@@ -39,6 +39,8 @@ class Stage(ABC):
     takes : the names of the feeds without which there is nothing to work on
     choice : the topics that it gives
     needs_targets : whether it has to know the targets
+    reads_camera : whether it reads raw frames or their camera
+    reading : how it does
     remarks : what people should know of the last frame
     """
 
@@ -46,6 +48,8 @@ class Stage(ABC):
     takes: ClassVar[tuple[str, ...]]
     choice: ClassVar[Choice]
     needs_targets: ClassVar[bool] = False
+    reads_camera: ClassVar[bool] = False
+    reading: FrameReading = FrameReading()
     parameters: Parameters = Parameters()
     remarks: tuple[str, ...] = ()
 
@@ -71,7 +75,16 @@ class Stage(ABC):
         ImguError
             If that cannot be; then nothing changes.
         """
+        self.reading = self._reading_for(parameters)
         self.parameters = parameters
+
+    def read_again(self) -> None:
+        """Read the camera's file anew; FileError when that cannot be: the old one stays."""
+        if self.reads_camera:
+            self.reading = frame_reading(self.parameters)
+
+    def _reading_for(self, parameters: Parameters) -> FrameReading:
+        return frame_reading(parameters, self.reading) if self.reads_camera else self.reading
 
     def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
         """Return whether these messages of one stamp, by the names of their feeds, are enough to work on.
@@ -100,12 +113,13 @@ class TargetStage(Stage):
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
         """See `Stage.use`; what does not depend on the parameters that have changed is used again."""
+        reading = self._reading_for(parameters)
         parts = Parts(self._parts)
         self.targets = (prepare_targets if self.needs_features else known_targets)(images, parameters, parts)
         self._prepare(parameters, parts)
         parts.settle()
         self._parts = parts
-        super().use(parameters, images)
+        self.reading, self.parameters = reading, parameters
 
     def _prepare(self, parameters: Parameters, parts: Parts) -> None:
         """Make what the stage needs of its targets."""
@@ -121,8 +135,13 @@ def cloud_feed(node: Node, name: str) -> Feed:
     return Feed(name, node.resolve_topic_name(name), CLOUD_TYPE, output_qos(_CLOUD_DEPTH))
 
 
-def camera_info_beside(node: Node, feed: Feed, own: str = "camera_info") -> str:
-    """Return the camera_info topic beside a feed's, unless `own` is remapped itself."""
+def camera_info_beside(node: Node, feed: Feed, parameters: Parameters) -> str:
+    """Return the camera_info topic beside a feed's, unless it is remapped itself; "" when a file is used instead."""
+    return "" if parameters.camera.info_file else reduced_info_beside(node, feed, "camera_info")
+
+
+def reduced_info_beside(node: Node, feed: Feed, own: str) -> str:
+    """Return the topic beside a feed's that says what part of a frame it shows, unless `own` is remapped itself."""
     topic = node.resolve_topic_name(own)
     if topic == node.resolve_topic_name(own, only_expand=True):
         return feed.topic.rpartition("/")[0] + "/camera_info"
@@ -137,15 +156,6 @@ def frame_without_image(header: Header, read: CameraReading = NO_CAMERA) -> Fram
 def unusable(read: CameraReading) -> tuple[str, ...]:
     """Return the remark that a camera_info cannot be used; empty when it can, or there is none."""
     return (f"uncalibrated: {read.reason}; homographies, no poses",) if read.reason else ()
-
-
-def read_camera_info(
-    message: Any | None, parameters: Parameters, image_size: tuple[int, int] | None = None
-) -> CameraReading:
-    """Return what became of a camera_info, None: there is none; `image_size` as for `read_camera`."""
-    if message is None:
-        return NO_CAMERA
-    return decode_camera_info(message, rectified=parameters.camera.rectified, image_size=image_size)
 
 
 _NO_IMAGE = RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO))

@@ -187,4 +187,6 @@ class StageNode(ManagedNode[StageInput]):
         images = await self._do_beside(lambda: load_target_images(parameters.targets, self._log_warning))
         self._require_configured()  # it may have been cleaned up meanwhile
         self._adopt(parameters, images)
+        with self._between_frames:
+            self._stage.read_again()
         return "targets: " + (", ".join(image.name for image in images) or "none")

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.errors import EncodingError
+from imgu_ros.errors import EncodingError, ImguError
+from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.params import Parameters
 from imgu_ros.perception.building import Built, build
 from imgu_ros.perception.chain import rejected_targets
@@ -113,6 +113,8 @@ class Worker:
         self._go_on = threading.Event()
         self._go_on.set()
         self._built: Built | None = None
+        self._reading = FrameReading()
+        self._read_for: Parameters | None = None
         self._rebuilder = Rebuilder(handlers.failed)
         self._last: Result | None = None
         self._rejected = 0
@@ -163,6 +165,11 @@ class Worker:
             If an image cannot serve as a target.
         """
         return build(images, self._parameters(), self._built)
+
+    def read_with(self, reading: FrameReading, parameters: Parameters) -> None:
+        """Read frames so from the next one on, as long as these parameters are in force."""
+        with self._lock:
+            self._reading, self._read_for = reading, parameters
 
     def use(self, built: Built) -> None:
         """Go on with this chain from the next frame on; tracks of targets that stay the same go on."""
@@ -244,9 +251,10 @@ class Worker:
         self._take_over()
         if self._built is None:
             return
-        chain, parameters = self._built.chain, self._built.parameters
+        chain = self._built.chain
+        self._follow_reading()
         try:
-            frame = decode_frame(job.image, job.camera_info, rectified=parameters.camera.rectified)
+            frame = self._reading.frame(job.image, job.camera_info)
         except EncodingError as error:
             self._rejected += 1
             self._unknown_encodings += str(error).startswith("encoding:")
@@ -273,6 +281,17 @@ class Worker:
         if built is not None and self._built is not None and built.images is self._built.images:
             built.chain.continue_from(self._built.chain)
             self._built = built
+
+    def _follow_reading(self) -> None:
+        """Read this frame already as the parameters say: a camera or an encoding needs no other chain."""
+        parameters = self._parameters()
+        if parameters is self._read_for:
+            return
+        self._read_for = parameters
+        try:
+            self._reading = frame_reading(parameters, self._reading)
+        except ImguError as error:  # it was read when the parameter was set, and is gone since
+            self._handlers.failed(f"parameters: {error}; frames are read as before")
 
     def _rejected_result(self, header: Header, reason: str) -> Result:
         frame = Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, None)

@@ -394,3 +394,52 @@ def test_a_picture_made_to_fill_the_memory_is_refused_before_it_is_decoded(make)
     with pytest.raises(EncodingError, match=r"16000 x 16000 px in \d+ bytes; need at most 200 px for each byte"):
         decode_compressed_image(compressed(make, hand_made_png(np.zeros((9, 9), np.uint8), (16_000, 16_000)), "png"))
     assert decode_compressed_image(compressed(make, said(1500, 2000), "png")).pixels.shape == (1500, 2000)
+
+
+@pytest.mark.parametrize(
+    "text", ["png", "", "mono8; png compressed ", "bayer_bggr8; png compressed ", "8UC1; png compressed "]
+)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_an_encoding_overrides_the_formats(make, text, dtype):
+    """A mosaic as a grey picture: PNG gives its values back."""
+    pixels, wanted = random_pixels((16, 32), dtype), f"bayer_grbg{8 * np.dtype(dtype).itemsize}"
+    data = cv2.imencode(".png", pixels)[1].tobytes()
+    image = decode_compressed_image(compressed(make, data, text), wanted)
+    assert np.array_equal(image.pixels, pixels)
+    assert image.layout == PixelLayout(ColorModel.BAYER, BayerPattern.GRBG)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted", "swapped"),
+    [
+        ("jpeg", "rgb8", False),
+        ("jpeg", "bgr8", True),  # red and blue were exchanged before compression
+        ("rgb8; jpeg compressed bgr8", "rgb8", False),
+        ("rgb8; jpeg compressed bgr8", "bgr8", True),
+        ("bgr8; jpeg compressed bgr8", "bgr8", False),
+        ("bgr8; jpeg compressed bgr8", "rgb8", True),
+    ],
+)
+def test_red_and_blue_of_a_compressed_picture(make, text, wanted, swapped):
+    rgb = np.zeros((16, 16, 3), np.uint8)
+    rgb[..., 0] = 200
+    data = cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
+    image = decode_compressed_image(compressed(make, data, text), wanted)
+    red = {ColorModel.RGB: 0, ColorModel.BGR: 2}[image.layout.color]
+    assert image.pixels[0, 0, 2 - red if swapped else red] == 200
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "wanted", "text"),
+    [
+        ((8, 8, 3), np.uint8, "bayer_rggb8", "bayer_rggb8 cannot be in a picture file with 3 channels of 8 bits"),
+        ((8, 8), np.uint8, "bayer_rggb16", "bayer_rggb16 cannot be in a picture file with 1 channel of 8 bits"),
+        ((8, 8), np.uint16, "bayer_rggb8", "1 channel of 16 bits"),
+        ((8, 8), np.uint8, "nv12", "nv12 cannot be in a picture file"),
+        ((8, 8, 3), np.uint8, "yuyv", "yuyv cannot be in a picture file"),
+    ],
+)
+def test_an_encoding_that_the_picture_cannot_be_is_refused(make, shape, dtype, wanted, text):
+    data = cv2.imencode(".png", random_pixels(shape, dtype))[1].tobytes()
+    with pytest.raises(EncodingError, match=f"raw.encoding: .*{text}; need|{text}"):
+        decode_compressed_image(compressed(make, data, "png"), wanted)

@@ -398,3 +398,62 @@ def test_header(make):
     assert decode_header(message) == Header(-1, "left/optical")
     with pytest.raises(EncodingError, match="32 bits"):
         image_message(make, Header(2**31 * 10**9, ""), np.zeros((2, 2), np.uint8), "mono8")
+
+
+@pytest.mark.parametrize("claimed", ["mono8", "8UC1", "8SC1", "bayer_gbrg8", "BayerRG8", "raw8", ""])
+def test_an_encoding_overrides_the_messages(make, claimed):
+    """A mosaic is read as one, whatever the message calls it: the same view of the same bytes, padding and all."""
+    pixels = np.random.default_rng(0).integers(0, 256, (6, 10), np.uint8)
+    message = image_message(make, HEADER, pixels, "mono8", row_padding=6)
+    message.encoding = claimed
+    image = decode_image(message, "bayer_rggb8")
+    assert np.array_equal(image.pixels, pixels)
+    assert image.layout == PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)
+    assert np.shares_memory(image.pixels, np.asarray(message.data))
+
+
+@pytest.mark.parametrize("big_endian", [False, True])
+@pytest.mark.parametrize("claimed", ["mono16", "16UC1", "16SC1", "bayer_rggb16", "yuyv"])
+def test_sixteen_bits_by_another_name(make, claimed, big_endian):
+    pixels = np.random.default_rng(0).integers(0, 65536, (6, 10), np.uint16)
+    message = image_message(make, HEADER, pixels, "mono16", big_endian=big_endian)
+    message.encoding = claimed
+    image = decode_image(message, "bayer_bggr16")
+    assert np.array_equal(image.pixels, pixels)
+    assert image.layout.pattern is BayerPattern.BGGR
+
+
+def test_red_and_blue_by_another_name(make):
+    pixels = np.random.default_rng(0).integers(0, 256, (6, 10, 3), np.uint8)
+    message = image_message(make, HEADER, pixels, "bgr8")
+    assert decode_image(message, "rgb8").layout.color is ColorModel.RGB
+    assert np.array_equal(decode_image(message, "rgb8").pixels, pixels)
+    assert decode_image(message, "8UC3").layout.color is ColorModel.BANDS
+
+
+@pytest.mark.parametrize(
+    ("claimed", "wanted", "text"),
+    [
+        (
+            "mono8",
+            "bayer_rggb16",
+            "bayer_rggb16 has 2 bytes a pixel, the message's mono8 1; need .* 1 byte",
+        ),
+        (
+            "mono16",
+            "bayer_rggb8",
+            "bayer_rggb8 has 1 byte a pixel, the message's mono16 2; need .* 2 bytes",
+        ),
+        ("rgb8", "bayer_rggb8", "raw.encoding: bayer_rggb8 has 1 byte a pixel, the message's rgb8 3"),
+        ("BayerRG12", "bayer_rggb8", "raw.encoding: bayer_rggb8 has 1 byte a pixel, .*'BayerRG12' rows of 160 bytes"),
+        ("BayerRG8", "bayer_rggb16", "step"),
+    ],
+)
+def test_an_encoding_that_the_bytes_cannot_be_is_refused(make, claimed, wanted, text):
+    stored = "mono16" if claimed == "BayerRG12" else "mono8" if claimed == "BayerRG8" else claimed
+    known = encoding_named(stored)
+    shape = (60, 80) if known.channels == 1 else (60, 80, known.channels)
+    message = image_message(make, HEADER, np.zeros(shape, known.dtype), stored)
+    message.encoding = claimed
+    with pytest.raises(EncodingError, match=text):
+        decode_image(message, wanted)

@@ -51,7 +51,7 @@ def summary_of(table: FrameTable, **changed: object) -> Summary:
         "targets": target_summaries(table),
         "reasons": (),
         "warnings": (),
-        "source": Source(("a.bag",), "", "/image", "", "640 x 480", "mono uint8"),
+        "source": Source(("a.bag",), "", "/image", "", "", "640 x 480", "mono uint8"),
         "frames_per_s": 12.5,
         "seconds": 1.0,
         "total_ms": percentiles(table.total_ms),

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header_checks import HeaderChecks
 from imgu_ros.codec.reduced_info import Covered, reduced_info_message
 from imgu_ros.codec.results import picture_message, result_header
@@ -40,6 +39,7 @@ class DemosaicStage(Stage):
 
     name = "demosaic"
     takes = (_IN,)
+    reads_camera = True
     choice = Choice(
         lambda topic: topic in ("image_color", "image_mono"),
         {REDUCED: IMAGE_TYPE, REDUCED_INFO: CAMERA_INFO_TYPE},
@@ -55,7 +55,8 @@ class DemosaicStage(Stage):
         if self._named != (known.image, known.camera_info):
             self._named = (known.image, known.camera_info)
             self._headers = HeaderChecks(*self._named)
-        return StageTopics((Feed(_IN, known.image, known.image_type, image_qos()),), known.camera_info)
+        camera_info = "" if parameters.camera.info_file else known.camera_info
+        return StageTopics((Feed(_IN, known.image, known.image_type, image_qos()),), camera_info)
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""
@@ -64,8 +65,8 @@ class DemosaicStage(Stage):
         if job.camera_info is not None:
             self._headers.add_camera_info(job.camera_info)
         self.remarks = tuple(self._headers.told(p.frames.camera, lately=True).values())
-        frame = decode_frame(job.messages[_IN], job.camera_info, rectified=p.camera.rectified)
-        self.remarks = (frame.image.remark,)
+        frame = self.reading.frame(job.messages[_IN], job.camera_info)
+        self.remarks += (frame.image.remark,)
         development = develop_frame(frame, p)
         if development.developed is None:
             raise ImguError(development.reason)

@@ -18,7 +18,7 @@ from imgu_ros.perception.clock import StageClock
 from imgu_ros.perception.features import Reduced, described_features, frame_pyramid
 from imgu_ros.perception.result import Result
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import Stage, camera_info_beside, frame_without_image, picture_feed
+from imgu_ros.ros.stage import Stage, frame_without_image, picture_feed, reduced_info_beside
 from imgu_ros.ros.stage_input import StageJob, StageTopics
 from imgu_ros.ros.stage_node import run_stage
 from imgu_ros.ros.stages.pyramid import LEVELS, LEVELS_INFO
@@ -44,7 +44,7 @@ class FeaturesStage(Stage):
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         levels = tuple(picture_feed(node, f"{LEVELS}{k}") for k in range(parameters.pyramid.levels))
-        return StageTopics(levels, camera_info_beside(node, levels[0], LEVELS_INFO))
+        return StageTopics(levels, reduced_info_beside(node, levels[0], LEVELS_INFO))
 
     def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
         """See `Stage.is_complete`: the size of level 0 tells how many there are."""

@@ -35,7 +35,6 @@ from imgu_ros.ros.stage import (
     cloud_feed,
     frame_without_image,
     picture_feed,
-    read_camera_info,
     unusable,
 )
 from imgu_ros.ros.stage_input import StageJob, StageTopics
@@ -60,6 +59,7 @@ class HomographyStage(TargetStage):
 
     name = "homography"
     takes = (_MATCHES,)
+    reads_camera = True
     choice = Choice(
         lambda topic: topic in ("homography", "status") or topic.rpartition("/")[2] == "outline", {INLIERS: CLOUD_TYPE}
     )
@@ -67,7 +67,7 @@ class HomographyStage(TargetStage):
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         picture = picture_feed(node, _PICTURE)
-        return StageTopics((cloud_feed(node, _MATCHES), picture), camera_info_beside(node, picture))
+        return StageTopics((cloud_feed(node, _MATCHES), picture), camera_info_beside(node, picture, parameters))
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
         """See `Stage.use`."""
@@ -129,9 +129,11 @@ class HomographyStage(TargetStage):
         elif job.camera_info is not None:
             size = image_size(job.camera_info)
             width, height = size.width, size.height
+        elif self.reading.file_camera is not None:
+            _, _, width, height = self.reading.file_camera.window
         else:
-            raise ImguError("frame: neither image_mono nor camera_info; need one of them, for its size")
-        read = read_camera_info(job.camera_info, self.parameters, (width, height))
+            raise ImguError("frame: neither image_mono nor camera_info; need one of them, or camera.info_file")
+        read = self.reading.camera(job.camera_info, (width, height))
         self.remarks = unusable(read) or read.remarks
         return Sight(read.camera, pictures, reduction_of((height, width), self.parameters).unit_px), read
 

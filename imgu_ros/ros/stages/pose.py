@@ -26,7 +26,6 @@ from imgu_ros.ros.stage import (
     camera_info_beside,
     cloud_feed,
     frame_without_image,
-    read_camera_info,
     unusable,
 )
 from imgu_ros.ros.stage_input import StageJob, StageTopics
@@ -39,6 +38,7 @@ STATUS = "pose/status"
 _HOMOGRAPHY = "homography"
 _GIVEN = ("pose", "odom", "path")
 _NOT_THE_IMAGES = "camera_info is not that of the image, says the node homography"
+_NOT_THERE_TOO = "the node homography has no camera that fits the image; need the same camera.info_file there"
 
 
 def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
@@ -51,6 +51,7 @@ class PoseStage(TargetStage):
 
     name = "pose"
     takes = (_HOMOGRAPHY, INLIERS)
+    reads_camera = True
     choice = Choice(
         lambda topic: topic == "/tf" or topic.rpartition("/")[2] in _GIVEN,
         {STATUS: "diagnostic_msgs/msg/DiagnosticArray"},
@@ -68,7 +69,7 @@ class PoseStage(TargetStage):
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         homography = cloud_feed(node, _HOMOGRAPHY)
-        return StageTopics((homography, cloud_feed(node, INLIERS)), camera_info_beside(node, homography))
+        return StageTopics((homography, cloud_feed(node, INLIERS)), camera_info_beside(node, homography, parameters))
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""
@@ -77,9 +78,9 @@ class PoseStage(TargetStage):
         counts = {index: len(matches.template_xy) for index, matches in agreeing.items()}
         estimates = decode_estimates(job.messages[_HOMOGRAPHY], counts)
         # The image's size is known where the picture is: the homographies say whether camera_info fits it.
-        read = read_camera_info(job.camera_info, self.parameters)
+        read = self.reading.camera(job.camera_info, None)
         if read.camera is not None and not decode_calibrated(job.messages[_HOMOGRAPHY]):
-            read = CameraReading(None, _NOT_THE_IMAGES)
+            read = CameraReading(None, _NOT_THE_IMAGES if self.reading.file_camera is None else _NOT_THERE_TOO)
         if self._last_ns is not None and header.stamp_ns < self._last_ns - JUMP_NS:
             self._check.reset()
         self._last_ns = header.stamp_ns

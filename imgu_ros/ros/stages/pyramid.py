@@ -17,7 +17,7 @@ from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.result import Result
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import Stage, camera_info_beside, picture_feed
+from imgu_ros.ros.stage import Stage, picture_feed, reduced_info_beside
 from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, StageJob, StageTopics
 from imgu_ros.ros.stage_node import run_stage
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO
@@ -42,7 +42,7 @@ class PyramidStage(Stage):
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         picture = picture_feed(node, REDUCED)
-        return StageTopics((picture,), camera_info_beside(node, picture, REDUCED_INFO))
+        return StageTopics((picture,), reduced_info_beside(node, picture, REDUCED_INFO))
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""

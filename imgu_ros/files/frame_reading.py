@@ -1,0 +1,92 @@
+"""How frames are read, as `camera.info_file`, `camera.rectified` and `raw.encoding` say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from imgu_ros.codec.camera_reading import CameraDescription, CameraReading, read_camera
+from imgu_ros.codec.encodings import encoding_named, encoding_names
+from imgu_ros.codec.frame import decode_frame, read_camera_info
+from imgu_ros.errors import EncodingError, FileError, ParameterError
+from imgu_ros.files.camera_info_file import read_description
+from imgu_ros.files.target_images import expanded_path
+from imgu_ros.params import Parameters
+from imgu_ros.perception.frame import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReading:
+    """How frames are read.
+
+    Attributes
+    ----------
+    info_file : the parameter `camera.info_file`
+    rectified : images are rectified
+    encoding : what pixels are; empty: what messages say
+    file_camera : what `camera.info_file` says; None: camera_info counts
+    """
+
+    info_file: str = ""
+    rectified: bool = False
+    encoding: str = ""
+    file_camera: CameraDescription | None = None
+
+    def frame(self, image_message: Any, camera_info_message: Any | None) -> Frame:
+        """Return an image message with its camera; EncodingError as `decode_frame`."""
+        camera_info = camera_info_message if self.file_camera is None else self.file_camera
+        return decode_frame(image_message, camera_info, rectified=self.rectified, encoding=self.encoding)
+
+    def camera(self, camera_info_message: Any | None, image_size: tuple[int, int] | None) -> CameraReading:
+        """Return the camera of an image that others have seen; None as its size: that which the camera is for."""
+        camera_info = camera_info_message if self.file_camera is None else self.file_camera
+        if camera_info is None:
+            return CameraReading(None)
+        return read_camera_info(camera_info, rectified=self.rectified, image_size=image_size)
+
+
+def frame_reading(parameters: Parameters, before: FrameReading | None = None) -> FrameReading:
+    """Read what the parameters say of frames, and check it before there are any.
+
+    Parameters
+    ----------
+    parameters : all parameters
+    before : returned, and no file read, when the parameters still say the same
+
+    Raises
+    ------
+    FileError
+        If `camera.info_file` is missing or cannot be read, or no camera can be as it says.
+    ParameterError
+        If `raw.encoding` is unknown.
+    """
+    wanted = as_read(parameters)
+    if before is not None and wanted == replace(before, file_camera=None):
+        return before
+    check_encoding(wanted.encoding)
+    if not wanted.info_file:
+        return wanted
+    try:
+        description = read_description(expanded_path(wanted.info_file))
+    except FileError as error:
+        raise FileError(f"camera.info_file: {error}") from None
+    alone = read_camera(description, rectified=wanted.rectified, image_size=None)
+    if alone.camera is None:
+        raise FileError(f"camera.info_file: {alone.reason}")
+    return replace(wanted, file_camera=description)
+
+
+def as_read(parameters: Parameters) -> FrameReading:
+    """Return what the parameters say of frames, without the file's content."""
+    return FrameReading(parameters.camera.info_file, parameters.camera.rectified, parameters.raw.encoding)
+
+
+def check_encoding(name: str) -> None:
+    """Raise ParameterError, with all known names, unless `raw.encoding` is empty or the name of an encoding."""
+    try:
+        if name:
+            encoding_named(name)
+    except EncodingError as error:
+        known = ", ".join(encoding_names())
+        reason = str(error).removeprefix("encoding: ")
+        raise ParameterError(f"raw.encoding: {reason}; need one of {known}") from None
