@@ -25,7 +25,7 @@ from imgu_ros.bags.storage import RawMessage
 from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
 from imgu_ros.ros.messages import make_message, message_class
-from imgu_ros.ros.middleware import profile_line
+from imgu_ros.ros.middleware import large_message_warnings, profile_line
 from imgu_ros.ros.pace import Pace
 from imgu_ros.ros.play_report import PlayReport, Span
 from imgu_ros.ros.process import init_ros, spare_collector
@@ -235,8 +235,13 @@ class _Player:
                 yield message
 
     def _publish(self, message: RawMessage) -> None:
-        self._publishers[message.channel.topic].publish(message.data)
-        self._published[message.channel.topic] += 1
+        topic = message.channel.topic
+        self._publishers[topic].publish(message.data)
+        self._published[topic] += 1
+        # What a process sends must fit its own shared memory; a large message that comes later is not looked at.
+        if self._published[topic] == 1 and self._types[topic] in IMAGE_TYPES:
+            for line in large_message_warnings(len(message.data)):
+                self._say(f"imgu: warning: {topic}: {line}")
 
     def _sleep_until(self, due: float, time_ns: int) -> None:
         """Sleep until a message of `time_ns` is due, and keep /clock ticking for those who listen."""

@@ -24,10 +24,11 @@ from imgu_ros.codec.results import target_pose_message
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import TargetImage, prepare_targets
-from imgu_ros.ros import middleware
+from imgu_ros.ros import middleware, player
 from imgu_ros.ros.messages import make_message as make_ros_message
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.qos import image_qos
+from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -72,6 +73,18 @@ def test_large_images_come_without_loss(imgu, peer, tmp_path):
     peer.spin(0.3)
     assert [message[-1] for message in heard] == list(range(count))
     assert "DDS profile: fastdds_large_images" in play.text
+
+
+def test_too_little_shared_memory_is_said_once(ros_domain, tmp_path, monkeypatch):
+    write_bag(tmp_path / "bag", 5)
+    sizes: list[int] = []
+    monkeypatch.setattr(player, "large_message_warnings", lambda size: sizes.append(size) or ["too large"])
+    said: list[str] = []
+    with StopSignal() as stop:
+        player.play([tmp_path / "bag"], player.PlayOptions(rate=10.0), [], stop, said.append)
+    assert [line for line in said if "too large" in line] == ["imgu: warning: /cam/image_raw: too large"]
+    assert len(sizes) == 1
+    assert 48 * 64 < sizes[0] < 48 * 64 + 200
 
 
 @pytest.mark.parametrize(("storage", "compression"), [("mcap", "zstd"), ("sqlite3", "zstd")])
