@@ -11,7 +11,16 @@ from rosbags.typesys.msg import normalize_msgtype
 from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.chunks import ChannelRecord, ChunkIndex, Gap, MessageRecord, Record, Stretch
 from imgu_ros.bags.compression import decompressed
-from imgu_ros.bags.storage import MAX_BYTES, Channel, Part, RawMessage, Warnings, merge_by_time, seconds
+from imgu_ros.bags.storage import (
+    MAX_BYTES,
+    Channel,
+    Part,
+    RawMessage,
+    Warnings,
+    merge_by_time,
+    seconds,
+    serialization_named,
+)
 from imgu_ros.errors import BagError
 
 
@@ -103,10 +112,11 @@ class ChunkedStorage:
 
     def _channel(self, record: ChannelRecord) -> Channel:
         schema = self._index.schemas.get(record.schema_id)
+        encoding = serialization_named(record.encoding)
         if schema is None:
-            return Channel(record.topic, "", record.encoding, "", "")
+            return Channel(record.topic, "", encoding, "", "")
         type_name = normalize_msgtype(schema.name) if "/" in schema.name else schema.name
-        return Channel(record.topic, type_name, record.encoding, schema.format, schema.text)
+        return Channel(record.topic, type_name, encoding, schema.format.lower(), schema.text)
 
     def _messages_of(self, stretch: Stretch, wanted: Collection[int]) -> Iterator[RawMessage]:
         found: list[RawMessage] = []

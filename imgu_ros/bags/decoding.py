@@ -153,7 +153,8 @@ def _ros1_typestore() -> Typestore:
 
 
 def _types_from_msg(channel: Channel) -> dict[str, Any]:
-    return dict(get_types_from_msg(channel.schema, channel.type_name))
+    lines = channel.schema.replace("\r\n", "\n").replace("\r", "\n")  # as editors of Windows end them
+    return dict(get_types_from_msg(lines, channel.type_name))
 
 
 def _types_from_idl(channel: Channel) -> dict[str, Any]:

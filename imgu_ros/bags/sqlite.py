@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds
+from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds, serialization_named
 from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
 
@@ -87,8 +87,8 @@ class SqliteStorage:
             given = row.get("type_description_hash")
             form, text = schemas.get((type_name, _text(given)), schemas.get((type_name, ""), ("", "")))
             normal = normalize_msgtype(type_name) if "/" in type_name else type_name
-            encoding = _text(row.get("serialization_format"))
-            channels[row["id"]] = Channel(_text(row.get("name")), normal, encoding, form, text)
+            encoding = serialization_named(_text(row.get("serialization_format")))
+            channels[row["id"]] = Channel(_text(row.get("name")), normal, encoding, form.lower(), text)
         return channels
 
     def _schemas(self) -> dict[tuple[str, str], tuple[str, str]]:

@@ -23,6 +23,11 @@ class Serialization(StrEnum):
     ROS1 = "ros1"
 
 
+def serialization_named(text: str) -> str:
+    """Return how messages are serialised by the name that a file gives to it, in any case; CDR when it gives none."""
+    return text.strip().lower() or Serialization.CDR
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One stream of messages in one file.

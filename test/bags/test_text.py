@@ -126,6 +126,19 @@ def test_mcap_with_records_of_definitions_that_do_not_hold(tmp_path, mcap_parts,
     assert read(tmp_path / "x.mcap")[:2] == (["a"], ())
 
 
+@pytest.mark.parametrize("encoding", [b"CDR", b"", b" cdr ", b"Cdr"])
+@pytest.mark.parametrize("form", [b"ROS2MSG", b"ros2msg", b""])
+def test_ways_to_write_cdr(tmp_path, mcap_parts, write_sqlite, encoding, form):
+    p = mcap_parts
+    definitions = raw_schema(p, 1, b"my_msgs/Word" if form else b"std_msgs/msg/String", form, b"string data\r\n")
+    definitions += raw_channel(p, 1, 1, b"/text", encoding)
+    (tmp_path / "x.mcap").write_bytes(mcap(p, definitions, [p.message(1, 2, p.string_cdr("a"))], True))
+    assert read(tmp_path / "x.mcap")[:2] == (["a"], ())
+    rows = [(b"/text", b"std_msgs/msg/String", encoding, b"", b"")]
+    write_sqlite(tmp_path / "x.db3", 4, rows, None, [(1, 2, p.string_cdr("a"))])
+    assert read(tmp_path / "x.db3")[:2] == (["a"], ())
+
+
 @pytest.mark.parametrize("version", [1, 2, 4])
 @pytest.mark.parametrize("comment", COMMENTS)
 def test_sqlite_with_text_that_is_not_utf8(tmp_path, mcap_parts, write_sqlite, comment, version):
