@@ -168,13 +168,16 @@ def test_topics_that_ros_does_not_know_stop_nothing(imgu, peer, tmp_path):
     assert play.text.count("skipping ") == len(odd)
 
 
-def test_waiting_for_subscribers_is_bounded_and_can_be_stopped(imgu, tmp_path, prompt_s):
+def test_waiting_for_subscribers_is_bounded_and_can_be_stopped(imgu, peer, tmp_path, prompt_s):
     write_bag(tmp_path / "bag")
     bounded = imgu("play", str(tmp_path / "bag"), "--wait-for", "1", "--timeout", "0.3")
     unbounded = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
     unbounded.wait_for_line("waiting for subscribers")
     assert bounded.wait() == 1
     assert "/cam/image_raw: 0 after 0.3 s; need 1" in bounded.text
+    domain = f"(ROS domain {peer.context.get_domain_id()}"
+    assert domain in bounded.text
+    assert f"waiting for subscribers on /cam/image_raw: 0 of 1 {domain}" in unbounded.text
     assert "Traceback" not in bounded.text
     assert unbounded.process.poll() is None
     assert unbounded.stop() < prompt_s

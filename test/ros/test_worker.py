@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -73,10 +74,20 @@ def described(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return made
 
 
-def test_a_running_worker_keeps_its_tracks(described: list[Any]) -> None:
-    images = default_targets(1, seed=3, width_m=0.5)
+@pytest.fixture(scope="module")
+def images() -> tuple[TargetImage, ...]:
+    return default_targets(1, seed=3, width_m=0.5)
+
+
+@pytest.fixture(scope="module")
+def frames(images: tuple[TargetImage, ...]) -> list[Frame]:
     simulation = Simulation(width=480, height=360, frames=120, seed=3)
-    frames = [simulated.frame for simulated in islice(simulate_sequence(simulation, images), 8)]
+    return [simulated.frame for simulated in islice(simulate_sequence(simulation, images), 8)]
+
+
+def test_a_running_worker_keeps_its_tracks(
+    images: tuple[TargetImage, ...], frames: list[Frame], described: list[Any]
+) -> None:
     running = Running(images)
     try:
         assert running.work(frames[0]).targets[0].status is Status.DETECTED
@@ -99,3 +110,24 @@ def test_a_running_worker_keeps_its_tracks(described: list[Any]) -> None:
         assert not running.failures
     finally:
         assert running.worker.close(5.0)
+
+
+def test_a_reload_describes_all_anew_and_a_cleanup_forgets_all(
+    images: tuple[TargetImage, ...], frames: list[Frame], described: list[Any]
+) -> None:
+    running = Running(images)
+    worker = running.worker
+    try:
+        running.work(frames[0])
+        once = len(described)
+        read_again = [replace(image, pixels=image.pixels.copy(), width_m=0.7) for image in images]
+        worker.use(worker.build(read_again))
+        assert len(described) == 2 * once
+        target = running.work(frames[1]).targets[0]
+        assert target.status is Status.TRACKED
+        worker.drop()
+        worker.use(worker.build(read_again))
+        assert len(described) == 3 * once
+        assert running.work(frames[2]).targets[0].status is Status.DETECTED
+    finally:
+        assert worker.close(5.0)
