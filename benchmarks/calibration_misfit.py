@@ -319,7 +319,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     parts = arguments.part or ["focal", "frontal", "noise", "drawn"]
-    document: dict[str, object] = {"machine": asdict(this_machine()), "seed": arguments.seed}
+    # Parts that are not measured anew stay in the file.
+    old = json.loads(arguments.json.read_text()) if arguments.json and arguments.json.exists() else {}
+    document: dict[str, object] = {**old, "machine": asdict(this_machine()), "seed": arguments.seed}
     for part in parts:
         if part in ("focal", "frontal"):
             rows = focal(arguments.data, arguments.seed, arguments.prints, arguments.frames or 30, part == "frontal")

@@ -6,10 +6,11 @@ each other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from imgu_ros.errors import ParameterError
-from imgu_ros.params import Parameters, RawParameters
+from imgu_ros.params import CameraParameters, Parameters, RawParameters
 
 #: Metrics that make sense for a descriptor. The library has the same knowledge, `vision.matching.metrics`, but
 #: importing it would take a command that only reads its parameters half a second; a test holds the two together.
@@ -28,6 +29,9 @@ _NATURE = {
     "patch": "is pixels, which are compared as such",
 }
 
+#: Of a covariance, relative: numbers are written with a few digits.
+_ROUNDING = 1e-5
+
 #: Detectors that look for structures of every size by themselves: they need the grey picture as it is.
 _OF_EVERY_SCALE = ("dog", "mser")
 
@@ -41,7 +45,12 @@ def check_together(parameters: Parameters) -> None:
         If parallel lists disagree, the levels or bands of raw data contradict each other, or the methods of the chain
         make no sense together (`why_not`).
     """
-    for reason in (*_about_targets(parameters), *_about_raw(parameters.raw), why_not(parameters)):
+    for reason in (
+        *_about_targets(parameters),
+        *_about_camera(parameters.camera),
+        *_about_raw(parameters.raw),
+        why_not(parameters),
+    ):
         if reason:
             raise ParameterError(reason)
 
@@ -102,6 +111,32 @@ def _about_targets(parameters: Parameters) -> Iterator[str]:
         if len(values) not in (0, count * each):
             need = f"none, or {count * each}: {'one' if each == 1 else 'seven'} for each of targets.images"
             yield f"targets.{name}: {len(values)} values; need {need}"
+
+
+def _about_camera(camera: CameraParameters) -> Iterator[str]:
+    given = camera.covariance
+    side = math.isqrt(len(given))
+    if not given:
+        return
+    if side * side != len(given) or side < 4:
+        yield (
+            f"camera.covariance: {len(given)} values; need 16 (fx, fy, cx, cy by themselves), or (4 + n)^2 with n "
+            "distortion coefficients, row by row"
+        )
+        return
+    variances = given[:: side + 1]
+    if min(variances) < 0:
+        yield f"camera.covariance: a variance of {min(variances):g}; need 0 or more on the diagonal"
+    for i in range(side):
+        for j in range(i):
+            one, other = given[i * side + j], given[j * side + i]
+            most = math.sqrt(max(variances[i], 0) * max(variances[j], 0))
+            if abs(one - other) > _ROUNDING * most or abs(one) > (1 + _ROUNDING) * most:
+                yield (
+                    f"camera.covariance: {one:g} in row {i + 1}, column {j + 1}, and {other:g} in row {j + 1}, column "
+                    f"{i + 1}; need the same, at most {most:.6g} by the variances"
+                )
+                return
 
 
 def _about_raw(raw: RawParameters) -> Iterator[str]:

@@ -98,6 +98,11 @@ class CameraParameters:
         "for want of it; `~` and `$VARIABLES` are expanded.",
     )
     rectified: bool = parameter(False, "The image is rectified: use P[:3, :3] of camera_info and no distortion.")
+    covariance: tuple[float, ...] = parameter(
+        (),
+        "Covariance of camera_info's fx, fy, cx, cy and distortion coefficients, row by row; it enters every pose's; "
+        "empty: that of a calibration file, else they are exact.",
+    )
 
 
 @dataclass(frozen=True, slots=True)

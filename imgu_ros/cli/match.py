@@ -244,7 +244,8 @@ def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
     from imgu_ros.files.target_images import expanded_path
 
     size = (pixels.shape[1], pixels.shape[0])
-    read = read_calibration(expanded_path(camera.info_file), rectified=camera.rectified, image_size=size)
+    path = expanded_path(camera.info_file)
+    read = read_calibration(path, rectified=camera.rectified, image_size=size, covariance=camera.covariance)
     return Frame(image, 0, "camera", read.camera, read.reason, read.remarks)
 
 

@@ -14,7 +14,12 @@ from imgu_ros.perception.frame import Frame
 
 
 def decode_frame(
-    image_message: Any, camera_info: Any | CameraDescription | None, *, rectified: bool, encoding: str = ""
+    image_message: Any,
+    camera_info: Any | CameraDescription | None,
+    *,
+    rectified: bool,
+    encoding: str = "",
+    covariance: tuple[float, ...] = (),
 ) -> Frame:
     """Read a sensor_msgs/Image or CompressedImage, and the camera_info that belongs to it.
 
@@ -22,7 +27,7 @@ def decode_frame(
     ----------
     image_message : of rclpy or of rosbags, ROS 2 or ROS 1
     camera_info : the message, or what a calibration file says; None when there is none: the frame's camera is None
-    rectified : see `decode_camera_info`
+    rectified, covariance : see `read_camera`
     encoding : what the pixels are, instead of what the image says; empty: what it says
 
     Raises
@@ -41,14 +46,18 @@ def decode_frame(
     if camera_info is None:
         return Frame(image, header.stamp_ns, header.frame_id, None)
     height, width = image.pixels.shape[:2]
-    read = read_camera_info(camera_info, rectified=rectified, image_size=(width, height))
+    read = read_camera_info(camera_info, rectified=rectified, image_size=(width, height), covariance=covariance)
     return Frame(image, header.stamp_ns, header.frame_id, read.camera, read.reason, read.remarks)
 
 
 def read_camera_info(
-    camera_info: Any | CameraDescription, *, rectified: bool, image_size: tuple[int, int] | None
+    camera_info: Any | CameraDescription,
+    *,
+    rectified: bool,
+    image_size: tuple[int, int] | None,
+    covariance: tuple[float, ...] = (),
 ) -> CameraReading:
     """Read the camera of a camera_info message, or of what a calibration file says; see `read_camera`."""
     if isinstance(camera_info, CameraDescription):
-        return read_camera(camera_info, rectified=rectified, image_size=image_size)
-    return decode_camera_info(camera_info, rectified=rectified, image_size=image_size)
+        return read_camera(camera_info, rectified=rectified, image_size=image_size, covariance=covariance)
+    return decode_camera_info(camera_info, rectified=rectified, image_size=image_size, covariance=covariance)

@@ -38,7 +38,11 @@ def read_camera_info(path: Path | str, *, rectified: bool = False) -> Camera:
 
 
 def read_calibration(
-    path: Path | str, *, rectified: bool = False, image_size: tuple[int, int] | None = None
+    path: Path | str,
+    *,
+    rectified: bool = False,
+    image_size: tuple[int, int] | None = None,
+    covariance: tuple[float, ...] = (),
 ) -> CameraReading:
     """Read a calibration file as a camera_info message is read: what cannot be used is the reading's reason.
 
@@ -46,13 +50,14 @@ def read_calibration(
     ----------
     path, rectified : see `read_camera_info`
     image_size : width, height of the image that it is for, px; None: the calibration's own
+    covariance : used instead of the file's, see `read_camera`; empty: the file's
 
     Raises
     ------
     FileError
         If the file is missing or none of the formats.
     """
-    return read_camera(read_description(path), rectified=rectified, image_size=image_size)
+    return read_camera(read_description(path), rectified=rectified, image_size=image_size, covariance=covariance)
 
 
 def read_description(path: Path | str) -> CameraDescription:

@@ -1,4 +1,4 @@
-"""How frames are read, as `camera.info_file`, `camera.rectified` and `raw.encoding` say."""
+"""How frames are read, as `camera.*` and `raw.encoding` say."""
 
 from __future__ import annotations
 
@@ -24,25 +24,35 @@ class FrameReading:
     info_file : the parameter `camera.info_file`
     rectified : images are rectified
     encoding : what pixels are; empty: what messages say
+    covariance : of the camera's numbers, row by row; empty: what is said with them
     file_camera : what `camera.info_file` says; None: camera_info counts
     """
 
     info_file: str = ""
     rectified: bool = False
     encoding: str = ""
+    covariance: tuple[float, ...] = ()
     file_camera: CameraDescription | None = None
 
     def frame(self, image_message: Any, camera_info_message: Any | None) -> Frame:
         """Return an image message with its camera; EncodingError as `decode_frame`."""
         camera_info = camera_info_message if self.file_camera is None else self.file_camera
-        return decode_frame(image_message, camera_info, rectified=self.rectified, encoding=self.encoding)
+        return decode_frame(
+            image_message,
+            camera_info,
+            rectified=self.rectified,
+            encoding=self.encoding,
+            covariance=self.covariance,
+        )
 
     def camera(self, camera_info_message: Any | None, image_size: tuple[int, int] | None) -> CameraReading:
         """Return the camera of an image that others have seen; None as its size: that which the camera is for."""
         camera_info = camera_info_message if self.file_camera is None else self.file_camera
         if camera_info is None:
             return CameraReading(None)
-        return read_camera_info(camera_info, rectified=self.rectified, image_size=image_size)
+        return read_camera_info(
+            camera_info, rectified=self.rectified, image_size=image_size, covariance=self.covariance
+        )
 
 
 def frame_reading(parameters: Parameters, before: FrameReading | None = None) -> FrameReading:
@@ -70,7 +80,7 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
         description = read_description(expanded_path(wanted.info_file))
     except FileError as error:
         raise FileError(f"camera.info_file: {error}") from None
-    alone = read_camera(description, rectified=wanted.rectified, image_size=None)
+    alone = read_camera(description, rectified=wanted.rectified, image_size=None, covariance=wanted.covariance)
     if alone.camera is None:
         raise FileError(f"camera.info_file: {alone.reason}")
     return replace(wanted, file_camera=description)
@@ -78,7 +88,8 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
 
 def as_read(parameters: Parameters) -> FrameReading:
     """Return what the parameters say of frames, without the file's content."""
-    return FrameReading(parameters.camera.info_file, parameters.camera.rectified, parameters.raw.encoding)
+    camera = parameters.camera
+    return FrameReading(camera.info_file, camera.rectified, parameters.raw.encoding, camera.covariance)
 
 
 def check_encoding(name: str) -> None:

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.recording import record_simulation
+from imgu_ros.bags.replay import replay
+from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.camera_reading import read_camera
-from imgu_ros.errors import FileError
+from imgu_ros.codec.header import Header
+from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.camera_info_file import camera_info_text, read_camera_info, read_description, write_camera_info
+from imgu_ros.files.frame_reading import frame_reading
+from imgu_ros.files.parameter_files import read_parameter_file
+from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import CameraParameters, Parameters
+from imgu_ros.perception.targets import TargetImage
+from imgu_ros.simulate.sequence import Simulation
+from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.vision.camera.camera_covariance import with_covariance
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 
@@ -94,3 +109,77 @@ def test_it_may_be_of_k_alone_or_written_by_hand(tmp_path: Path) -> None:
     read = read_camera_info(tmp_path / "a.yaml")
     assert read.covariance is not None
     assert np.diag(read.covariance).tolist() == [4, 4, 1, 1, 0, 0, 0, 0, 0]
+
+
+def info_message(binning: int = 1) -> Any:
+    message = camera_info_message(make_message, Header(1, "camera"), replace(camera(), covariance=None))
+    message.binning_x = message.binning_y = binning
+    return message
+
+
+def test_the_parameter_is_of_camera_infos_numbers_and_wins_over_the_file(tmp_path: Path) -> None:
+    other = tuple(np.diag([9.0, 16, 1, 4]).ravel().tolist())
+    by_parameter = Parameters(camera=CameraParameters(covariance=other))
+    read = frame_reading(by_parameter).camera(info_message(binning=2), (320, 240)).camera
+    assert read is not None and read.covariance is not None
+    assert np.sqrt(np.diag(read.covariance)).tolist() == [1.5, 2, 0.5, 1, 0, 0, 0, 0, 0]
+    assert frame_reading(Parameters()).camera(info_message(), (640, 480)).camera.covariance is None  # type: ignore[union-attr]
+
+    write_camera_info(tmp_path / "a.yaml", camera())
+    of_file = Parameters(camera=CameraParameters(info_file=str(tmp_path / "a.yaml")))
+    reading = frame_reading(of_file)
+    read = reading.camera(info_message(), (640, 480)).camera
+    assert read is not None and np.array_equal(read.covariance, camera().covariance)  # type: ignore[arg-type]
+    changed = replace(of_file, camera=replace(of_file.camera, covariance=other))
+    again = frame_reading(changed, reading)
+    assert again is not reading
+    read = again.camera(None, (640, 480)).camera
+    assert read is not None and read.covariance is not None
+    assert read.covariance[1, 1] == 16
+
+
+def test_one_that_is_not_the_cameras_costs_the_pose_and_says_why(tmp_path: Path) -> None:
+    wrong = Parameters(camera=CameraParameters(covariance=tuple(np.eye(12).ravel().tolist())))
+    read = frame_reading(wrong).camera(info_message(), (640, 480))
+    assert read.camera is None
+    assert "covariance: of 12 numbers; need 9 x 9: fx, fy, cx, cy and the 5 coefficients of plumb_bob" in read.reason
+    write_camera_info(tmp_path / "a.yaml", camera())
+    with pytest.raises(FileError, match="camera.info_file: .* of 12 numbers"):
+        frame_reading(replace(wrong, camera=replace(wrong.camera, info_file=str(tmp_path / "a.yaml"))))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([1.0] * 9, "9 values; need 16"),
+        ([1.0] * 17, "17 values; need 16"),
+        (np.diag([1.0, 1, 1, -2]).ravel().tolist(), "a variance of -2"),
+        ((np.eye(4) + np.triu(np.full((4, 4), 0.1), 1)).ravel().tolist(), "in row 2, column 1, .* need the same"),
+        ((3 * np.ones((4, 4)) - 2 * np.eye(4)).ravel().tolist(), "at most 1 by the variances"),
+    ],
+)
+def test_parameters_that_are_no_covariance_are_refused(values: list[float], words: str) -> None:
+    with pytest.raises(ParameterError, match=f"camera.covariance: .*{words}"):
+        parameters_from({"camera.covariance": values})
+
+
+def test_poses_of_a_replay_have_it(tmp_path: Path) -> None:
+    """A bag, its own camera_info, and a covariance: the same poses, and larger covariances."""
+    target = TargetImage("poster", procedural_texture(640, 480), 0.5)
+    record_simulation(tmp_path / "bag", Simulation(width=480, height=360, frames=3), targets=[target])
+    plain = parameters_from(read_parameter_file(tmp_path / "bag" / "params.yaml"))
+    known = parameters_from({"camera.covariance": np.diag([16.0, 16, 4, 4]).ravel().tolist()}, plain)
+    rows = []
+    for name, parameters in (("plain", plain), ("known", known)):
+        replay([tmp_path / "bag"], tmp_path / name, parameters)
+        with (tmp_path / name / "frames.csv").open(newline="") as file:
+            rows.append(list(csv.DictReader(file)))
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        assert summary["calibration"]["warning"] == ""
+        assert 0 < summary["calibration"]["views"] <= 3
+        assert "fits what is seen" in (tmp_path / name / "report.html").read_text()
+    for a, b in zip(*rows, strict=True):
+        assert a["tz"] == b["tz"]
+        # A focal length that is known to 4 of some 400 px: the distance to about 1 %.
+        assert float(b["c33"]) > 100 * float(a["c33"])
+        assert float(b["c33"]) ** 0.5 == pytest.approx(0.01 * float(a["tz"]), rel=0.3)
