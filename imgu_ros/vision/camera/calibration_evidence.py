@@ -33,6 +33,9 @@ _OUTLYING = 9.21
 _MEDIAN = 1.386
 #: Poses are linear in the camera's numbers to so many times the square of what is wrong.
 _SECOND_ORDER = 4.0
+#: Views that follow each other share errors of prints and patches: the best numbers are off by such a share of the focal
+#: length, however many views there are (`benchmarks/calibration_misfit.py --part focal`: told beside true).
+_SHARED = 1e-3
 _ROUNDS = 4
 #: Fewest views whose scatter tells how honest the covariances of their residuals are.
 _SCATTER_VIEWS = 6
@@ -193,6 +196,6 @@ def _posterior(information: Floats, pull: Floats) -> _Posterior:
     means = (along * sizes / (1 + grown)) @ back.T
     mean = likely @ means
     variances = likely @ (sizes / (1 + grown))
-    second_order = _SECOND_ORDER * float(mean @ mean)
-    moment = (back * variances) @ back.T + means.T @ (likely[:, None] * means) + np.diag((second_order * _SHAPE) ** 2)
+    others = math.hypot(_SECOND_ORDER * float(mean @ mean), _SHARED)
+    moment = (back * variances) @ back.T + means.T @ (likely[:, None] * means) + np.diag((others * _SHAPE) ** 2)
     return _Posterior(most > _BY_CHANCE, np.asarray(mean, np.float64), moment, float(squared.sum()))
