@@ -33,8 +33,8 @@ _OUTLYING = 9.21
 _MEDIAN = 1.386
 #: Poses are linear in the camera's numbers to so many times the square of what is wrong.
 _SECOND_ORDER = 4.0
-#: Views that follow each other share errors of prints and patches: the best numbers are off by such a share of the focal
-#: length, however many views there are (`benchmarks/calibration_misfit.py --part focal`: told beside true).
+#: Views that follow each other share errors of prints and patches: the best numbers are off by such a share of the
+#: focal length, however many views there are (`benchmarks/calibration_misfit.py --part focal`: told beside true).
 _SHARED = 1e-3
 _ROUNDS = 4
 #: Fewest views whose scatter tells how honest the covariances of their residuals are.
