@@ -133,13 +133,13 @@ class HeaderChecks:
                 )
             case Oddity.ZERO:
                 return (
-                    f"stamps of {topic} are 0 in {share}: no motion is predicted, and /tf and .tum files need stamps "
-                    "that rise; have the driver stamp its images"
+                    f"stamps of {topic} are 0 in {share}: motion is predicted as if they came evenly, and /tf and "
+                    ".tum files need stamps that rise; have the driver stamp its images"
                 )
             case Oddity.REPEATED:
                 return (
-                    f"stamps of {topic} are repeated in {share} ({detail}): no motion is predicted there, and a .tum "
-                    "file has the first of each alone"
+                    f"stamps of {topic} are repeated in {share} ({detail}): motion is predicted as if they came "
+                    "evenly, and a .tum file has the first of each alone"
                 )
             case Oddity.FALLING:
                 return (

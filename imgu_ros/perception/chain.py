@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from imgu_ros.perception.develop import Developed
 from imgu_ros.perception.development import Development, develop_frame
 from imgu_ros.perception.features import find_features
 from imgu_ros.perception.frame import Frame
+from imgu_ros.perception.frame_times import FrameTimes
 from imgu_ros.perception.parts import Parts
 from imgu_ros.perception.pictures import Pictures
 from imgu_ros.perception.posing import posed
@@ -40,7 +42,8 @@ class Chain:
 
     Frames are expected in the order of time; the tracker remembers where targets were. Stamps that jump back by more
     than a second (a recording played in a loop) make it forget: the frames that follow are those of a new chain. A
-    single stamp of 0 among others is none: the tracks go on after it.
+    single stamp of 0 among others is none: the tracks go on after it. Where stamps do not rise, frames count as evenly
+    spaced.
 
     Parameters
     ----------
@@ -59,7 +62,9 @@ class Chain:
         self._frames_without_search = 0
         self._searches = 0
         self._last_ns: int | None = None
-        self._before_zero: tuple[int, list[Track | None], list[Sighting | None]] | None = None
+        self._times = FrameTimes()
+        self._now_ns = 0
+        self._before_zero: _Memory | None = None
         self.reset()
 
     @property
@@ -81,6 +86,7 @@ class Chain:
         self._frames_without_search = 0
         self._searches = 0
         self._last_ns = None
+        self._times = FrameTimes()
         self._before_zero = None
         self._calibration.reset()
 
@@ -92,6 +98,7 @@ class Chain:
         """
         self.reset()
         self._last_ns = before._last_ns
+        self._times = before._times
         self._calibration = before._calibration
         if not self._parameters.tracking.enabled:
             return
@@ -114,6 +121,7 @@ class Chain:
         development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
         """
         self._look_at_stamp(frame.stamp_ns)
+        self._now_ns = self._times.of(frame.stamp_ns)
         development = development or develop_frame(frame, self._parameters)
         clock = StageClock()
         clock.times_ns[Stage.DEVELOP] = development.took_ns
@@ -137,12 +145,12 @@ class Chain:
         before, last_ns = self._before_zero, self._last_ns
         self._before_zero = None
         if last_ns is not None and stamp_ns < last_ns - JUMP_NS:
-            tracks, seen = self._tracks, self._seen
+            memory = _Memory(last_ns, self._times, self._tracks, self._seen)
             self.reset()
             if stamp_ns == 0:
-                self._before_zero = (last_ns, tracks, seen)
-        elif before is not None and stamp_ns >= before[0] - JUMP_NS:
-            _, self._tracks, self._seen = before
+                self._before_zero = memory
+        elif before is not None and stamp_ns >= before.last_ns - JUMP_NS:
+            self._times, self._tracks, self._seen = before.times, before.tracks, before.seen
         self._last_ns = stamp_ns
 
     def _worked(
@@ -167,7 +175,7 @@ class Chain:
             for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
         )
         self._frames_without_search = 0 if due or not missing else self._frames_without_search + 1
-        self._remember(frame, targets)
+        self._remember(targets)
         targets = self._calibration.examined(frame.camera, targets)
         return Result(
             frame=frame,
@@ -188,7 +196,7 @@ class Chain:
             return None
         try:
             with clock.measures(Stage.REFINE):
-                alignment = follow(target, track, pictures, frame.stamp_ns, frame.camera, p)
+                alignment = follow(target, track, pictures, self._now_ns, frame.camera, p)
         except EstimationError:
             return None
         found = TargetResult(
@@ -209,7 +217,7 @@ class Chain:
         none_in_view = len(missing) == len(self._targets)
         return just_lost or none_in_view or self._frames_without_search + 1 >= self._parameters.tracking.search_every
 
-    def _remember(self, frame: Frame, targets: Sequence[TargetResult]) -> None:
+    def _remember(self, targets: Sequence[TargetResult]) -> None:
         if not self._parameters.tracking.enabled:
             return
         for result in targets:
@@ -218,20 +226,30 @@ class Chain:
                 self._tracks[result.index] = None
                 continue
             if track is None or result.status is Status.DETECTED:
-                sighting = Sighting(result.homography.H, frame.stamp_ns)
-                self._tracks[result.index] = Track([sighting, *self._shortly_before(result.index, frame)])
+                sighting = Sighting(result.homography.H, self._now_ns)
+                self._tracks[result.index] = Track([sighting, *self._shortly_before(result.index)])
             else:
                 target = self._targets[result.index]
-                self._tracks[result.index] = track.continued(target, result.homography.H, frame.stamp_ns)
-            self._seen[result.index] = Sighting(result.homography.H, frame.stamp_ns)
+                self._tracks[result.index] = track.continued(target, result.homography.H, self._now_ns)
+            self._seen[result.index] = Sighting(result.homography.H, self._now_ns)
 
-    def _shortly_before(self, index: int, frame: Frame) -> list[Sighting]:
+    def _shortly_before(self, index: int) -> list[Sighting]:
         """Return where a target was seen last, when that is no longer ago than it can move on steadily.
 
         A target that moves fast has moved far when it was detected: two detections tell where it will be.
         """
         seen = self._seen[index]
-        return [seen] if seen is not None and 0 < frame.stamp_ns - seen.stamp_ns <= _STEADY_NS else []
+        return [seen] if seen is not None and 0 < self._now_ns - seen.stamp_ns <= _STEADY_NS else []
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Memory:
+    """What a chain knew before a frame without a stamp."""
+
+    last_ns: int
+    times: FrameTimes
+    tracks: list[Track | None]
+    seen: list[Sighting | None]
 
 
 def rejected_targets(targets: Sequence[Target], reason: str) -> tuple[TargetResult, ...]:

@@ -230,6 +230,10 @@ def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
     frames = list(islice(simulate_sequence(Simulation(width=640, height=480, frames=20), images), 5))
     statuses = [chain.process(simulated.frame).targets[0].status for simulated in frames]
     assert statuses == [Status.DETECTED] * 2 + [Status.TRACKED] * 3
+    # Also when no frame has a stamp: they count as evenly spaced.
+    chain.reset()
+    unstamped = [chain.process(replace(s.frame, stamp_ns=0)).targets[0].status for s in frames]
+    assert unstamped == statuses
     # After a pause nothing is known of the motion any more.
     late = [replace(simulated.frame, stamp_ns=simulated.frame.stamp_ns + 10**10) for simulated in frames]
     chain.reset()
@@ -240,7 +244,7 @@ def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
 
 
 def test_frames_without_stamps_are_tracked(one_target_frames: Frames, targets: Targets) -> None:
-    """Their motion is not predicted, and they are found all the same, as exactly."""
+    """They count as evenly spaced: a camera that turns fast is followed all the same, as exactly."""
     stamped, none = Chain(Parameters(), targets), Chain(Parameters(), targets)
     for index, simulated in enumerate(one_target_frames[:8]):
         expected = stamped.process(simulated.frame).targets[0]
