@@ -73,7 +73,7 @@ def health(state: NodeState, found: Sequence[Cause], source: ImageInput, worker:
     return [
         _output(f"{prefix}: output", state, found, worker, now),
         _input(f"{prefix}: input", found, source, worker, now),
-        _camera(f"{prefix}: camera", found, worker.last),
+        _camera(f"{prefix}: camera", found, worker),
     ]
 
 
@@ -186,7 +186,7 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker
     counters = source.counters
     values: dict[str, object] = {
         "image_topic": source.topics.image,
-        "camera_info_topic": source.topics.camera_info,
+        "camera_info_topic": source.camera_info_topic,
         "rate_hz": source.arrivals.rate_hz(now),
         "frames": source.arrivals.count,
         "lost": counters.lost,
@@ -203,7 +203,8 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker
     return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "images come in", values)
 
 
-def _camera(name: str, found: Sequence[Cause], last: Result | None) -> HealthEntry:
+def _camera(name: str, found: Sequence[Cause], worker: Worker) -> HealthEntry:
+    last = worker.last
     if last is None:
         return HealthEntry(name, Level.OK, "no frame yet", {})
     reason = "; ".join(cause.text for cause in found if cause.kind in _OF_CAMERA)
@@ -220,6 +221,7 @@ def _camera(name: str, found: Sequence[Cause], last: Result | None) -> HealthEnt
         "cx": float(camera.K[0, 2]),
         "cy": float(camera.K[1, 2]),
         "distortion_model": str(camera.model),
+        "info_file": worker.info_file,
     }
     if last.calibration is not None:
         values |= {

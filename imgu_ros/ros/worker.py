@@ -156,6 +156,11 @@ class Worker:
         built = self._built
         return None if built is None else built.parameters
 
+    @property
+    def info_file(self) -> str:
+        """The calibration file that counts instead of camera_info; empty: none."""
+        return self._reading.info_file
+
     def build(self, images: Sequence[TargetImage]) -> Built:
         """Return a chain for these targets, with the parameters in force; frames go on meanwhile.
 

@@ -86,6 +86,9 @@ def test_mosaics_in_files(pictures: Path, tmp_path: Path) -> None:
         grey = read_image(path).astype(np.uint16) * 16
         write_image(tmp_path / path.name, mosaic(np.dstack((grey, grey, grey)), BayerPattern.GRBG))
     assert calibrate(tmp_path, *OPTIONS, "--pattern", "grbg", "--out", tmp_path / "c.yaml") == 0
+    by_encoding = tmp_path / "d.yaml"
+    assert calibrate(tmp_path, *OPTIONS, "-p", "raw.encoding:=bayer_grbg16", "--out", by_encoding) == 0
+    assert by_encoding.read_text() == (tmp_path / "c.yaml").read_text()
     assert read_camera_info(tmp_path / "c.yaml").K[0, 0] == pytest.approx(420, rel=0.02)
 
 

@@ -125,3 +125,18 @@ def test_an_orientation_tag_does_not_turn_the_pattern(
         assert main(["demosaic", str(tmp_path / name), str(tmp_path / f"{name}.ppm"), "--pattern", "rggb"]) == 0
     assert np.array_equal(read_image(tmp_path / f"raw{suffix}.ppm"), read_image(tmp_path / "plain.pgm.ppm"))
     assert capsys.readouterr().err.count(f"raw{suffix}: orientation tag {orientation} ignored") == (orientation != 1)
+
+
+def test_the_encoding_gives_the_pattern(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_image(tmp_path / "raw.png", raw_of("uint8", 5, "gbrg"))
+    paths = [str(tmp_path / "raw.png"), str(tmp_path / "rgb.png")]
+    assert main(["demosaic", *paths, "-p", "raw.encoding:=bayer_gbrg8"]) == 0
+    assert np.array_equal(read_image(tmp_path / "rgb.png")[4, 6], np.array(COLOR) * 5)
+    for options, text in (
+        ([], "--pattern: none; need the mosaic's"),
+        (["-p", "raw.encoding:=mono8"], "raw.encoding: mono8; need a Bayer encoding"),
+        (["-p", "raw.encoding:=bayer_gbrg16"], "need 1 of uint16"),
+        (["-p", "raw.encoding:=bayer_gbrg8", "--pattern", "rggb"], "--pattern: rggb with raw.encoding bayer_gbrg8"),
+    ):
+        assert main(["demosaic", *paths, *options]) == 1
+        assert text in capsys.readouterr().err

@@ -128,6 +128,37 @@ def test_a_photo_with_transparency_is_composed(scene: Path, tmp_path: Path, caps
     assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.5
 
 
+def test_parameters_give_the_camera_and_the_pattern_too(scene: Path, tmp_path: Path) -> None:
+    """`--camera-info` and `--pattern` are short for them; the short form counts where both are given."""
+    short = ["--camera-info", str(scene / "camera.yaml"), "--pattern", "gbrg"]
+    long = ["-p", f"camera.info_file:={scene / 'camera.yaml'}", "-p", "raw.encoding:=bayer_gbrg8"]
+    over = ["-p", f"camera.info_file:={tmp_path / 'none.yaml'}", *short]
+    found = []
+    for index, options in enumerate((short, long, over)):
+        out = tmp_path / f"{index}.json"
+        arguments = [str(scene / "poster.png"), str(scene / "raw.png"), "--width-m", str(WIDTH_M), "--json", str(out)]
+        assert main(["match", *arguments, *options]) == 0
+        found.append(json.loads(out.read_text()))
+    assert found[0]["pose_status"] == "metric"
+    assert found[0]["pose"] == found[1]["pose"] == found[2]["pose"]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["-p", "raw.encoding:=bayer_gbrg16"], "1 channel of uint8; need 1 of uint16 for raw.encoding bayer_gbrg16"),
+        (["-p", "raw.encoding:=rgb8"], "1 channel of uint8; need 3 of uint8 for raw.encoding rgb8"),
+        (["-p", "raw.encoding:=bayer_rggb8", "--pattern", "gbrg"], "--pattern: gbrg with raw.encoding bayer_rggb8"),
+        (["-p", "camera.info_file:=no.yaml"], "no.yaml: No such file"),
+    ],
+)
+def test_what_an_image_cannot_be(
+    scene: Path, capsys: pytest.CaptureFixture[str], options: list[str], text: str
+) -> None:
+    assert main(["match", str(scene / "poster.png"), str(scene / "raw.png"), *options]) == 1
+    assert text in capsys.readouterr().err
+
+
 def test_a_mosaic(scene: Path, tmp_path: Path) -> None:
     options = ["--pattern", "gbrg", "--json", str(tmp_path / "m.json")]
     assert main(["match", str(scene / "poster.png"), str(scene / "raw.png"), *options]) == 0

@@ -58,3 +58,9 @@ def test_match(picture: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "suffix '.txt'" in refused(capsys, "match", picture, picture, "--draw", str(tmp_path / "a.txt"))
     missing = str(tmp_path / "none" / "a.json")
     assert "its folder does not exist" in refused(capsys, "match", picture, picture, "--json", missing)
+
+
+def test_bench(capsys: pytest.CaptureFixture[str]) -> None:
+    for given in ("camera.info_file:=camera.yaml", "raw.encoding:=bayer_rggb8"):
+        name = given.partition(":")[0]
+        assert f"{name}: no part of this command" in refused(capsys, "bench", "-p", given)

@@ -89,6 +89,8 @@ def test_a_camera_from_a_file_and_a_mosaic_called_grey(imgu, world, peer, make_c
     assert "camera_info" not in node.text
     last = peer.heard["/diagnostics"][-1]
     assert values(last, "camera")["message"] == "calibrated"
+    assert values(last, "camera")["info_file"] == str(camera_file)
+    assert values(last, "input")["camera_info_topic"] == ""
     assert float(values(last, "camera")["fx"]) == world.frames[0].camera.K[0, 0]
     assert not peer.node.count_subscribers("/cam/camera_info")
 
