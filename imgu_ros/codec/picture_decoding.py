@@ -98,11 +98,16 @@ def _decoded(data: NDArray[np.uint8]) -> Image:
 def _without_messages() -> Iterator[None]:
     """Keep libjpeg's remarks about a missing end from stderr; what others write there meanwhile comes afterwards."""
     try:
-        real = os.dup(2)
-    except OSError:  # stderr is closed
+        kept = os.memfd_create("stderr")
+    except OSError:  # not on this system
         yield
         return
-    kept = os.memfd_create("stderr")
+    try:
+        real = os.dup(2)
+    except OSError:  # stderr is closed
+        os.close(kept)
+        yield
+        return
     os.dup2(kept, 2)
     try:
         yield

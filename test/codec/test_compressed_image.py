@@ -186,6 +186,23 @@ def test_what_others_write_to_stderr_meanwhile_is_not_lost(make, capfd, monkeypa
     assert capfd.readouterr().err == "another's line\n" * 2
 
 
+@pytest.mark.parametrize("missing", ["memfd_create", "dup"])
+def test_a_missing_end_is_read_where_stderr_cannot_be_held(make, monkeypatch, missing):
+    import os
+
+    from imgu_ros.codec import picture_decoding
+
+    def refuse(*_):
+        raise OSError(missing)
+
+    whole = cv2.imencode(".jpg", random_pixels((40, 40), np.uint8))[1].tobytes()
+    monkeypatch.setattr(picture_decoding.os, missing, refuse)
+    descriptors = len(os.listdir("/proc/self/fd"))
+    image = decode_compressed_image(compressed(make, whole[:-2], "jpeg"))
+    np.testing.assert_array_equal(image.pixels, decode_compressed_image(compressed(make, whole, "jpeg")).pixels)
+    assert len(os.listdir("/proc/self/fd")) == descriptors
+
+
 @pytest.mark.parametrize("tail", [b"\0\0\0", bytes(5000), b"\xff\xd9", b"\xff\xd9" + bytes(9), b"\xff" * 5, b"garbage"])
 def test_what_follows_the_end_marker_does_not_matter(make, tail):
     whole = cv2.imencode(".jpg", random_pixels((40, 40, 3), np.uint8))[1].tobytes()
