@@ -79,6 +79,21 @@ def test_a_width_in_centimetres_is_said(scene: Path, capsys: pytest.CaptureFixtu
     assert "did you mean 0.3 (30 cm)" in said
 
 
+@pytest.mark.parametrize("error", [0.0, 0.06])
+def test_a_calibration_that_does_not_fit_is_said(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: float
+) -> None:
+    wrong = make_camera(CAMERA.K * [[1 + error, 1, 1], [1, 1 + error, 1], [1, 1, 1]], (), "plumb_bob", *SIZE)
+    write_camera_info(tmp_path / "camera.yaml", wrong)
+    document = tmp_path / "found.json"
+    options = ["--width-m", str(WIDTH_M), "--camera-info", str(tmp_path / "camera.yaml"), "--json", str(document)]
+    assert main(["match", str(scene / "poster.png"), str(scene / "view.png"), *options]) == 0
+    assert ("camera_info does not fit what is seen" in capsys.readouterr().err) == bool(error)
+    calibration = json.loads(document.read_text())["calibration"]
+    assert calibration["views"] == 1
+    assert bool(calibration["warning"]) == bool(error)
+
+
 def test_without_a_camera_there_is_no_pose(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["match", str(scene / "poster.png"), str(scene / "view.png")]) == 0
     out = capsys.readouterr().out
