@@ -21,6 +21,7 @@ import importlib.util
 import inspect
 import itertools
 import pkgutil
+import re
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -358,11 +359,18 @@ def _values(parameter: inspect.Parameter) -> dict[str, Callable[[], Any]]:
     return VALUES | {name: lambda number=number: number for name, number in NUMBERS.items()}
 
 
-def _escapes(function: Callable[..., Any], arguments: dict[str, Any], room: Room, what: str) -> str | None:
-    """Return what is wrong with the answer to a call with values of other types."""
+def _escapes(
+    function: Callable[..., Any], arguments: dict[str, Any], room: Room, what: str, same: bool = False
+) -> str | None:
+    """Return what is wrong with the answer to a call with values of other types; `same`: that of the valid call."""
+    infinite = function in room.infinite
     try:
-        _call(function, arguments, function in room.infinite)
+        got = _call(function, arguments, infinite)
+        if same:
+            _require_same(got, _call(function, room.calls[function](np.random.default_rng(0)), infinite))
     except ImguError as error:
+        if same:
+            return f"{what}: {error!r}"
         return None if str(error) and "\n" not in str(error) else f"{what}: {error!r} is not one line"
     except Exception as error:  # whatever escapes is the finding
         at = traceback.extract_tb(error.__traceback__)[-1]
@@ -410,6 +418,20 @@ def test_hostile_argument(name: str) -> None:
         pytest.fail(f"{name}: {len(wrong)} of {len(cases)} hostile calls:\n  " + "\n  ".join(wrong), pytrace=False)
 
 
+#: What takes no lists: internal arrays of the library itself, checked where they were made.
+ARRAYS_ALONE = {
+    "camera.resection.design_matrix", "matching.hamming.BinaryRows.distances", "matching.numbers.NumberRows.distances",
+    "matching.metrics.require_index", "matching.patch_bank.PatchBank.select", "matching.places.Places.at",
+    "projective.checks.finite", "projective.increments.PlaneMotion.fit",
+}  # fmt: skip
+#: Points as OpenCV returns them, (N, 1, 2): what is called so.
+OF_POINTS = re.compile(r"^(points|others|xy|src|dst|pixels|corners|.*_xy|world|plane_xy|board_xy)$")
+#: Not points of a picture or of space, or of any dimension.
+NOT_OF_OPENCV = {
+    "camera.resection.design_matrix", "estimation.chance.shares_of_places", "matching.places.Places.at",
+}  # fmt: skip
+
+
 #: What a test's own wrapper takes apart itself is no business of vision/.
 OURS = [name for name in LISTED if name in PUBLIC]
 
@@ -426,6 +448,29 @@ def test_values_of_other_types(name: str) -> None:
     found = [violation for violation in wrong if violation]
     if found:
         pytest.fail(f"{name}: {len(found)} of {len(wrong)} calls:\n  " + "\n  ".join(found), pytrace=False)
+
+
+@pytest.mark.parametrize("name", [name for name in OURS if name not in ARRAYS_ALONE])
+def test_lists_and_points_of_opencv_are_arrays_too(name: str) -> None:
+    """Lists of lists, and (N, 1, 2) where points are taken: the same result."""
+    room, function = _room_of(name), EVERY[name]
+    called = room.calls[function](np.random.default_rng(0))
+    wrong = []
+    for parameter in _parameters(function):
+        given, kind = called.get(parameter.name), str(parameter.annotation)
+        if not isinstance(given, np.ndarray) or not given.ndim or "Image" in kind:
+            continue
+        forms: dict[str, Any] = {"list": given.tolist()}
+        if given.ndim == 2:
+            forms["tuples"] = tuple(map(tuple, given.tolist()))
+        if OF_POINTS.match(parameter.name) and given.shape[1:] in ((2,), (3,)) and name not in NOT_OF_OPENCV:
+            forms["(N, 1, C)"] = given[:, None]
+        for form, value in forms.items():
+            arguments = room.calls[function](np.random.default_rng(0)) | {parameter.name: value}
+            violation = _escapes(function, arguments, room, f"{parameter.name} as {form}", same=True)
+            wrong += [violation] if violation else []
+    if wrong:
+        pytest.fail(f"{name}:\n  " + "\n  ".join(wrong), pytrace=False)
 
 
 @pytest.mark.parametrize("name", OURS)

@@ -8,7 +8,7 @@ import numpy as np
 
 from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, Points, as_matrix
+from imgu_ros.types import Image, Points, as_points
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
 from imgu_ros.vision.matching.metrics import Metric, checked_rows, metric_of_rows
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
@@ -58,7 +58,10 @@ def prepare_gallery(
     metric = metric_of_rows(descriptors, metric)
     places = None
     if xy is not None:
-        places = find_places(as_matrix(xy, (len(descriptors), 2), "dst_xy"), same_place_px)
+        xy = as_points(xy, "dst_xy")
+        if len(xy) != len(descriptors):
+            raise ShapeError(f"dst_xy: {len(xy)} points; need {len(descriptors)}, one for each row")
+        places = find_places(xy, same_place_px)
     if not 0 <= same_place_px < np.inf:
         raise ShapeError(f"same_place_px: {same_place_px!r}; need a number >= 0")
     prepared = binary_rows(descriptors) if metric is Metric.HAMMING else number_rows(descriptors, metric)

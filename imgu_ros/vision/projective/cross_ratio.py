@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.arguments import as_number
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.types import Floats, as_matrix, as_rows
+from imgu_ros.types import Floats, as_floats, as_matrix, as_rows
 from imgu_ros.vision.projective.points_and_lines import homogeneous, normalised_lines, normalised_points
 
 _ROUNDING = 1e-12
@@ -32,7 +32,9 @@ def cross_ratio(points: ArrayLike, tolerance: float = 1e-6) -> float:
     1.5
     """
     tolerance = as_number(tolerance, "tolerance")
-    rows = points if isinstance(points, np.ndarray) else np.asarray(points, dtype=object)
+    rows = as_floats(points, "points")
+    if rows.shape in ((4, 1, 2), (4, 1, 3)):
+        rows = rows[:, 0]
     if rows.shape not in ((4, 2), (4, 3)):
         raise ShapeError(f"points: shape {rows.shape}; need (4, 2) or (4, 3)")
     xyw = homogeneous(rows) if rows.shape[1] == 2 else normalised_points(rows)

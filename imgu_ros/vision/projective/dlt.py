@@ -126,6 +126,8 @@ def normalisation(points: ArrayLike, name: str = "points") -> Floats:
     [[0.5, 0.0, -1.0], [0.0, 0.5, -1.0], [0.0, 0.0, 1.0]]
     """
     array = as_floats(points, name)
+    if array.ndim == 3 and array.shape[1] == 1:
+        array = array[:, 0]
     if array.ndim != 2 or array.shape[1] not in (2, 3) or not len(array):
         raise ShapeError(f"{name}: shape {array.shape}; need (N, 2) or (N, 3), N >= 1")
     return _weighted_normalisation(as_matrix(array, array.shape, name), None, name)

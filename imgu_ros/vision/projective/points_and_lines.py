@@ -213,8 +213,13 @@ def line_distances(points: ArrayLike, lines: ArrayLike) -> Floats:
 
 
 def _as_points3(points: ArrayLike, name: str) -> Floats:
-    rows = points if isinstance(points, np.ndarray) else np.asarray(points, dtype=object)
-    return homogeneous(as_points(rows, name)) if rows.ndim == 2 and rows.shape[1] == 2 else as_rows(rows, 3, name)
+    try:
+        return as_rows(points, 3, name)
+    except ShapeError as error:
+        try:
+            return homogeneous(as_points(points, name))
+        except ShapeError:
+            raise error from None
 
 
 def _crossed(a: Floats, b: Floats, names: str) -> Floats:
