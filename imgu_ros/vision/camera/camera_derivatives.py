@@ -63,7 +63,7 @@ def ideal_by_camera(camera: Camera, ideal: ArrayLike) -> Floats:
 
     >>> from imgu_ros.vision.camera.intrinsics import make_camera
     >>> camera = make_camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], (), "plumb_bob", 640, 480)
-    >>> ideal_by_camera(camera, [[420.0, 240.0]])[0, :, :4].round(6).tolist()
+    >>> (ideal_by_camera(camera, [[420.0, 240.0]])[0, :, :4].round(6) + 0.0).tolist()
     [[-0.2, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, -1.0]]
     """
     require_type(camera, Camera, "camera")
