@@ -15,11 +15,15 @@ from imgu_ros.vision.camera.resection import (
     fit_projection,
     projection_dlt,
 )
+from imgu_ros.vision.estimation.chance import pair_probability, shares_of_places
+from imgu_ros.vision.estimation.covariance import selection_efficiency
 from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
-from imgu_ros.vision.projective.dlt import normalisation
+from imgu_ros.vision.estimation.settling import InlierFit
 
 _RANK_TOLERANCE = 1e-6
+#: px, beyond which no picture reaches.
+_LARGEST = 1e30
 
 
 def estimate_projection(
@@ -47,7 +51,7 @@ def estimate_projection(
     TooFewPoints
         If there are fewer than six correspondences.
     NoConsensus
-        If too few correspondences agree.
+        If too few correspondences agree, or as many would by chance.
     DegenerateConfiguration
         If the inliers do not determine a camera.
     """
@@ -64,17 +68,15 @@ def estimate_projection(
         max_iterations=max_iterations,
         unit=" px",
     )
-    inliers = consensus.inliers
-    # The refined camera may gain points, which the first one left out by a hair.
-    for _ in range(2):
-        estimate = fit_projection(model.world[inliers], model.pixels[inliers])
-        agreeing = model.squared_errors(estimate.P[None])[0] <= threshold_px**2
-        if np.array_equal(agreeing, inliers) or np.count_nonzero(agreeing) < FEWEST_POINTS:
-            break
-        inliers = agreeing
-    else:
-        estimate = fit_projection(model.world[inliers], model.pixels[inliers])
-    return ProjectionEstimate(estimate.P, estimate.covariance, inliers, estimate.rms_px, consensus.iterations)
+    estimate, inliers = InlierFit(
+        lambda mask: fit_projection(model.world[mask], model.pixels[mask]),
+        lambda estimate: model.squared_errors(estimate.P[None])[0] <= threshold_px**2,
+        FEWEST_POINTS + 1,
+    ).settled(consensus.inliers)
+    count = int(np.count_nonzero(inliers))
+    variance = estimate.rms_px**2 * 2 * count / (2 * count - 11)
+    covariance = estimate.covariance / selection_efficiency(2 * variance, threshold_px) ** 2
+    return ProjectionEstimate(estimate.P, covariance, inliers, estimate.rms_px, consensus.iterations)
 
 
 class ProjectionModel:
@@ -90,12 +92,10 @@ class ProjectionModel:
     world, pixels : as given, checked
     """
 
+    codimension = 2
+
     def __init__(self, world: ArrayLike, pixels: ArrayLike) -> None:
         self.world, self.pixels = as_correspondences(world, pixels, FEWEST_POINTS, "world")
-        self._T_world, self._T_pixels = normalisation(self.world, "world"), normalisation(self.pixels, "pixels")
-        # Normalised once, so that one scale serves all samples.
-        self._world_unit = self.world @ self._T_world[:3, :3] + self._T_world[:3, 3]
-        self._pixel_unit = self.pixels @ self._T_pixels[:2, :2] + self._T_pixels[:2, 2]
         self._homogeneous = np.column_stack((self.world, np.ones(len(self.world))))
 
     @property
@@ -110,11 +110,13 @@ class ProjectionModel:
 
     def generate(self, samples: Indices) -> Floats:
         """Return the camera matrices, (B', 3, 4), of samples (B, 6); degenerate ones give none."""
-        world, pixels = self._world_unit[samples], self._pixel_unit[samples]
+        # Each in its own units, whatever lies far from it.
+        world, T_world = _normalised(self.world[samples])
+        pixels, T_pixels = _normalised(self.pixels[samples])
         _, singular, vectors = np.linalg.svd(design_matrix(world, pixels))
         regular = singular[:, 10] > _RANK_TOLERANCE * singular[:, 0]
         scaled = vectors[regular, 11].reshape(-1, 3, 4)
-        return np.asarray(np.linalg.inv(self._T_pixels) @ scaled @ self._T_world, np.float64)
+        return np.asarray(np.linalg.inv(T_pixels[regular]) @ scaled @ T_world[regular], np.float64)
 
     def squared_errors(self, hypotheses: Floats) -> Floats:
         """Return the squared reprojection errors (B, N); inf for points behind the camera."""
@@ -126,7 +128,33 @@ class ProjectionModel:
             squared = ((xy - self.pixels) ** 2).sum(axis=2)
         return np.where(in_front & np.isfinite(squared), squared, np.inf)
 
+    def shares(self, threshold: float) -> Floats:
+        """Return what each correspondence counts, (N,): 1 / number of those whose pixels are within the threshold."""
+        return shares_of_places(self.pixels, threshold)
+
+    def agreement_probability(self, hypothesis: Floats, threshold: float) -> float:
+        """Return the probability that a wrong correspondence agrees, told by wrong pairs of these points."""
+        x, y, w = hypothesis @ self._homogeneous.T
+        w = w * (-1.0 if np.linalg.det(hypothesis[:, :3]) < 0 else 1.0)
+        in_front = w > 0
+        with np.errstate(over="ignore"):
+            seen = np.clip(np.column_stack((x, y))[in_front] / w[in_front, None], -_LARGEST, _LARGEST)
+        return float(in_front.mean()) * pair_probability(seen, self.pixels[in_front], threshold)
+
     def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
         """Return the camera matrix of all inliers, by the normalised DLT."""
         del hypothesis
         return projection_dlt(self.world[inliers], self.pixels[inliers])
+
+
+def _normalised(points: Floats) -> tuple[Floats, Floats]:
+    """Return samples (B, M, D) about their centres, in units of their RMS distance, and the similarities that do it."""
+    dimension = points.shape[2]
+    centre = points.mean(axis=1)
+    away = points - centre[:, None]
+    unit = np.sqrt((away**2).sum(axis=2).mean(axis=1))
+    unit[unit == 0] = 1.0
+    T = np.tile(np.eye(dimension + 1), (len(points), 1, 1))
+    T[:, :-1] /= unit[:, None, None]
+    T[:, :-1, -1] = -centre / unit[:, None]
+    return away / unit[:, None, None], T

@@ -23,11 +23,14 @@ from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_problem import PoseProblem
 from imgu_ros.vision.camera.rotation import exp_so3
-from imgu_ros.vision.estimation.covariance import propagated_covariance
+from imgu_ros.vision.estimation.chance import pair_probability, shares_of_places
+from imgu_ros.vision.estimation.covariance import propagated_covariance, selection_efficiency
 from imgu_ros.vision.estimation.nonlinear import minimise
 from imgu_ros.vision.estimation.ransac import ransac
+from imgu_ros.vision.estimation.settling import InlierFit
 
 _FEWEST_POINTS = 4
+_FEWEST_INLIERS = 6
 #: Smallest extent of the points across their main line, as a share of the largest (both RMS).
 _NARROWEST = 1e-3
 _LARGEST = 1e9
@@ -103,10 +106,15 @@ def estimate_pose(
     threshold_px : largest reprojection error of an inlier
     confidence, max_iterations : see `ransac`
 
+    Returns
+    -------
+    The pose of the inliers that are returned; its covariance allows for what the threshold cut off
+    (`selection_efficiency`).
+
     Raises
     ------
     TooFewPoints, NoConsensus, DegenerateConfiguration
-        If the correspondences, or those that agree, do not determine a pose.
+        If the correspondences, or those that agree, do not determine a pose, or as many agree by chance.
     """
     require_type(camera, Camera, "camera")
     threshold_px = as_number(threshold_px, "threshold_px")
@@ -114,11 +122,25 @@ def estimate_pose(
     max_iterations = as_integer(max_iterations, "max_iterations")
     model = PoseModel(points, pixels, camera)
     consensus = ransac(
-        model, threshold_px, rng, confidence=confidence, max_iterations=max_iterations, min_inliers=6, unit=" px"
+        model,
+        threshold_px,
+        rng,
+        confidence=confidence,
+        max_iterations=max_iterations,
+        min_inliers=_FEWEST_INLIERS,
+        unit=" px",
     )
-    pose = fit_pose(model.points[consensus.inliers], model.pixels[consensus.inliers], camera)
-    agreeing = model.squared_errors(np.column_stack((pose.R, pose.t))[None])[0] <= threshold_px**2
-    return PoseEstimate(pose, agreeing, consensus.iterations)
+    pose, inliers = InlierFit(
+        lambda mask: fit_pose(model.points[mask], model.pixels[mask], camera),
+        lambda pose: model.squared_errors(np.column_stack((pose.R, pose.t))[None])[0] <= threshold_px**2,
+        _FEWEST_INLIERS,
+    ).settled(consensus.inliers)
+    count = int(np.count_nonzero(inliers))
+    variance = pose.rms_px**2 * 2 * count / (2 * count - 6)
+    noise_px = math.sqrt(variance) / selection_efficiency(2 * variance, threshold_px)
+    if noise_px > 0:  # points that agree to the last digit tell of no noise
+        pose = fit_pose(model.points[inliers], model.pixels[inliers], camera, noise_px)
+    return PoseEstimate(pose, inliers, consensus.iterations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +150,7 @@ class PoseEstimate:
     Attributes
     ----------
     pose : camera_from_object
-    inliers : (N,) which correspondences agree with the pose
+    inliers : (N,) the correspondences that it was fitted to: those that agree with it
     iterations : samples drawn
     """
 
@@ -144,6 +166,8 @@ class PoseModel:
     ----------
     points, pixels, camera : as in `fit_pose`
     """
+
+    codimension = 2
 
     def __init__(self, points: ArrayLike, pixels: ArrayLike, camera: Camera) -> None:
         require_type(camera, Camera, "camera")
@@ -177,10 +201,26 @@ class PoseModel:
             try:
                 seen = self._camera.project(turned[in_front])
             except ShapeError:  # a wild hypothesis: points so far off the axis that the lens model overflows
-                return squared
+                if len(hypotheses) == 1:
+                    return squared
+                return np.concatenate([self.squared_errors(hypothesis[None]) for hypothesis in hypotheses])
             measured = np.broadcast_to(self.pixels, (len(hypotheses), *self.pixels.shape))[in_front]
             squared[in_front] = np.minimum(((seen - measured) ** 2).sum(axis=1), 1e30)
         return squared
+
+    def shares(self, threshold: float) -> Floats:
+        """Return what each correspondence counts, (N,): 1 / number of those whose pixels are within the threshold."""
+        return shares_of_places(self.pixels, threshold)
+
+    def agreement_probability(self, hypothesis: Floats, threshold: float) -> float:
+        """Return the probability that a wrong correspondence agrees, told by wrong pairs of these points."""
+        turned = self.points @ hypothesis[:, :3].T + hypothesis[:, 3]
+        in_front = turned[:, 2] > 1e-9 * np.abs(turned).max(axis=1)
+        try:
+            seen = np.clip(self._camera.project(turned[in_front]), -_LARGEST, _LARGEST)
+        except ShapeError:
+            return 1.0
+        return float(in_front.mean()) * pair_probability(seen, self.pixels[in_front], threshold)
 
     def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
         """Return the refined pose of all inliers."""

@@ -13,13 +13,17 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points, as_points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rotation import exp_so3
-from imgu_ros.vision.estimation.covariance import propagated_covariance
+from imgu_ros.vision.estimation.chance import pair_probability, shares_of_places
+from imgu_ros.vision.estimation.covariance import propagated_covariance, selection_efficiency
 from imgu_ros.vision.estimation.directions import DirectionsModel
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
+from imgu_ros.vision.estimation.settling import InlierFit
 
 _FEWEST_POINTS = 2
+#: px, beyond which no picture reaches.
+_LARGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +34,7 @@ class RotationEstimate:
     ----------
     R : (3, 3) dst_from_src
     covariance : (3, 3) rad^2, R_true = Exp(delta) R
-    inliers : (N,) which correspondences agree with it
+    inliers : (N,) the correspondences that it was fitted to: those that agree with it
     rms_px : root mean square residual of the inliers in the second view, px (per coordinate)
     iterations : samples drawn
     """
@@ -67,7 +71,7 @@ def estimate_rotation(
     Raises
     ------
     TooFewPoints, NoConsensus
-        If there are too few correspondences, or too few agree.
+        If there are too few correspondences, too few agree, or as many would by chance.
     DegenerateConfiguration
         If those that agree lie in one direction.
     """
@@ -86,11 +90,18 @@ def estimate_rotation(
         max_iterations=max_iterations,
         unit=" px",
     )
-    inliers = consensus.inliers
-    minimum = minimise(_RotationProblem(model.rays_src[inliers], model.dst[inliers], camera_dst), consensus.hypothesis)
-    rms = math.sqrt(float((minimum.linearisation.residuals**2).mean()))
-    inliers = model.squared_errors(minimum.estimate[None])[0] <= threshold_px**2
-    return RotationEstimate(minimum.estimate, propagated_covariance(minimum), inliers, rms, consensus.iterations)
+    start = consensus.hypothesis
+    minimum, inliers = InlierFit(
+        lambda mask: minimise(_RotationProblem(model.rays_src[mask], model.dst[mask], camera_dst), start),
+        lambda minimum: model.squared_errors(minimum.estimate[None])[0] <= threshold_px**2,
+        _FEWEST_POINTS + 1,
+    ).settled(consensus.inliers)
+    squares = float((minimum.linearisation.residuals**2).sum())
+    count = int(np.count_nonzero(inliers))
+    efficiency = selection_efficiency(2 * squares / (2 * count - 3), threshold_px)
+    covariance = propagated_covariance(minimum) / efficiency**2
+    rms = math.sqrt(squares / (2 * count))
+    return RotationEstimate(minimum.estimate, covariance, inliers, rms, consensus.iterations)
 
 
 class RotationModel:
@@ -101,6 +112,8 @@ class RotationModel:
     src, dst : (N, 2) raw px
     camera_src, camera_dst : of the two views
     """
+
+    codimension = 2
 
     def __init__(self, src: ArrayLike, dst: ArrayLike, camera_src: Camera, camera_dst: Camera) -> None:
         require_type(camera_src, Camera, "camera_src")
@@ -140,8 +153,24 @@ class RotationModel:
             try:
                 squared[ahead] = np.minimum(((self._camera.project(turned[ahead]) - measured) ** 2).sum(axis=1), 1e30)
             except ShapeError:  # far off the axis the lens model overflows
-                return np.full(ahead.shape, np.inf)
+                if len(hypotheses) == 1:
+                    return np.full(ahead.shape, np.inf)
+                return np.concatenate([self.squared_errors(hypothesis[None]) for hypothesis in hypotheses])
         return squared
+
+    def shares(self, threshold: float) -> Floats:
+        """Return what each correspondence counts, (N,): 1 / number of those within the threshold in dst."""
+        return shares_of_places(self.dst, threshold)
+
+    def agreement_probability(self, hypothesis: Floats, threshold: float) -> float:
+        """Return the probability that a wrong correspondence agrees, told by wrong pairs of these points."""
+        turned = self.rays_src @ hypothesis.T
+        ahead = (turned[:, 2] > 1e-3) & self._valid
+        try:
+            seen = np.clip(self._camera.project(turned[ahead]), -_LARGEST, _LARGEST)
+        except ShapeError:
+            return 1.0
+        return float(ahead.mean()) * pair_probability(seen, self.dst[ahead], threshold)
 
     def refit(self, hypothesis: Floats, inliers: Mask) -> Floats:
         """Return the rotation that best turns the inliers' directions."""

@@ -50,12 +50,14 @@ from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Linearisat
 from imgu_ros.vision.estimation.ransac import Consensus, iterations_needed, ransac
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
 from imgu_ros.vision.estimation.search import RobustModel, Score, WeightedModel
+from imgu_ros.vision.estimation.settling import InlierFit
 
 __all__ = [
     "Agreement",
     "ChanceModel",
     "Consensus",
     "DirectionsModel",
+    "InlierFit",
     "LeastSquaresProblem",
     "LineEstimate",
     "LineModel",

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Matrix3, as_matrix, as_rows
+from imgu_ros.vision.estimation.chance import pair_probability, shares_of_places
 
 _LARGEST = 1e100
 #: Least second singular value of the correlation, as a share of the first: below, all directions are parallel.
@@ -71,6 +72,7 @@ class DirectionsModel:
     """
 
     sample_size = 2
+    codimension = 2
 
     def __init__(self, src: ArrayLike, dst: ArrayLike) -> None:
         self.src, self.dst = _directions(src, "src"), _directions(dst, "dst")
@@ -100,6 +102,18 @@ class DirectionsModel:
         """Return the rotation of all inliers."""
         del hypothesis
         return align_directions(self.src[inliers], self.dst[inliers])
+
+    def shares(self, threshold: float) -> Floats:
+        """Return what each pair counts, (N,): 1 / number of those within the threshold in dst."""
+        return shares_of_places(self.dst, _chord(threshold))
+
+    def agreement_probability(self, hypothesis: Floats, threshold: float) -> float:
+        """Return the probability that a wrong pair agrees, told by wrong pairs of these directions."""
+        return pair_probability(self.src @ hypothesis.T, self.dst, _chord(threshold))
+
+
+def _chord(angle: float) -> float:
+    return 2 * float(np.sin(min(angle, np.pi) / 2))
 
 
 def _axes(pairs: Floats) -> Floats:

@@ -9,10 +9,13 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Points, as_matrix, as_points
+from imgu_ros.vision.estimation.chance import shares_of_places
 
 _LARGEST = 1e100
 #: Difference of the variances along and across the line, as a share of their sum, below which there is no line.
 _ROUND = 1e-12
+#: Points beside a line that tell how many lie near it by chance.
+_ENOUGH_BESIDE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +110,7 @@ class LineModel:
     """
 
     sample_size = 2
+    codimension = 1
 
     def __init__(self, points: ArrayLike) -> None:
         self.points = _checked(points)
@@ -133,6 +137,29 @@ class LineModel:
         """Return the total least squares line of the inliers."""
         del hypothesis
         return fit_line(self.points[inliers]).line
+
+    def shares(self, threshold: float) -> Floats:
+        """Return what each point counts, (N,): 1 / number of those within a quarter of the threshold.
+
+        No hypothesis maps all points onto one place, so that what is near each other need not count as one.
+        """
+        return shares_of_places(self.points, threshold / 4)
+
+    def agreement_probability(self, hypothesis: Floats, threshold: float) -> float:
+        """Return the probability that a point of another line is within the threshold, as those beside the line tell.
+
+        Where there are few of those, as points that spread across the line as far as the agreeing ones do along it.
+        """
+        across = np.abs(self.points @ hypothesis[:2] + hypothesis[2])
+        along = self.points[across <= threshold] @ np.array([-hypothesis[1], hypothesis[0]])
+        reach = max(float(np.ptp(along)) / 2, threshold) if len(along) else threshold
+        beside = np.sort(across[(across > threshold) & (across <= reach)])
+        probability = threshold / reach
+        if len(beside) >= _ENOUGH_BESIDE:
+            # The nearer half of those beside: what spreads along a line is not as likely near it as far from it.
+            strip = max(float(beside[len(beside) // 2]) - threshold, threshold)
+            probability = max(probability, (len(beside) // 2 + 1) / len(self.points) * threshold / strip)
+        return min(1.0, probability)
 
 
 def _checked(points: ArrayLike) -> Points:

@@ -15,6 +15,7 @@ from imgu_ros.vision.estimation.nonlinear import Minimiser
 from imgu_ros.vision.estimation.ransac import Consensus, ransac
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.estimation.search import Score
+from imgu_ros.vision.estimation.settling import InlierFit
 from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate, Orientation
 from imgu_ros.vision.projective.minimal import HomographyModel
@@ -22,8 +23,6 @@ from imgu_ros.vision.projective.refine import HomographyError, TransferProblem
 
 #: Correspondences of which one can contradict the others.
 _FEWEST = 5
-#: Fits to inliers that the fit before told.
-_MOST_ROUNDS = 10
 #: Samples that are drawn to tell whether the plane is seen from the side that is not allowed.
 _OTHER_SIDE_SAMPLES = 500
 _OTHER_SIDE = {Orientation.FRONT: Orientation.MIRRORED, Orientation.MIRRORED: Orientation.FRONT}
@@ -143,17 +142,14 @@ def _settled(
     refine: Minimiser | str | None,
 ) -> HomographyEstimate:
     """Return the fit to the inliers of H, then to those of that fit, and so on until they stay the same."""
-    inliers = _inliers(H, src, dst, threshold_px)
-    for _ in range(_MOST_ROUNDS):
-        fitted = inliers
-        # From their own linear fit, so that it is theirs alone, however they were found.
-        estimate = fit_homography(src[fitted], dst[fitted], error=error, refine=refine, orientation=Orientation.ANY)
-        H = estimate.H
-        inliers = _inliers(H, src, dst, threshold_px)
-        if np.count_nonzero(inliers) < _FEWEST or np.array_equal(inliers, fitted):
-            break
+    # From their own linear fit, so that it is theirs alone, however they were found.
+    estimate, fitted = InlierFit(
+        lambda mask: fit_homography(src[mask], dst[mask], error=error, refine=refine, orientation=Orientation.ANY),
+        lambda estimate: _inliers(estimate.H, src, dst, threshold_px),
+        _FEWEST,
+    ).settled(_inliers(H, src, dst, threshold_px))
     count = int(np.count_nonzero(fitted))
-    squares = float((TransferProblem(src[fitted], dst[fitted]).residuals(H) ** 2).sum())
+    squares = float((TransferProblem(src[fitted], dst[fitted]).residuals(estimate.H) ** 2).sum())
     efficiency = selection_efficiency(squares / max(count - 4, 1), threshold_px)
     return replace(estimate, covariance=estimate.covariance / efficiency**2, inliers=fitted)
 

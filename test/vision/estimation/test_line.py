@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
+from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError, TooFewPoints
 from imgu_ros.vision.estimation.line import LineModel, fit_line
 from imgu_ros.vision.estimation.ransac import iterations_needed, ransac
 
@@ -70,6 +70,8 @@ def test_half_of_the_points_are_outliers() -> None:
         rng = np.random.default_rng(seed)
         good = np.column_stack((np.full(40, 7.0), rng.uniform(0, 100, 40)))
         model = LineModel(np.concatenate((good, rng.uniform(0, 100, (40, 2)))))
-        consensus = ransac(model, 0.01, rng, max_iterations=17)
-        found += bool(consensus.inliers[:40].all())
+        try:
+            found += bool(ransac(model, 0.01, rng, max_iterations=17).inliers[:40].all())
+        except NoConsensus:  # no sample of two good ones: what agrees then does so by chance
+            continue
     assert found >= 193  # 198 expected; a probability of 0.001 of fewer than 193
