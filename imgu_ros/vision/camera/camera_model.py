@@ -68,11 +68,12 @@ def estimate_projection(
         max_iterations=max_iterations,
         unit=" px",
     )
-    estimate, inliers = InlierFit(
+    settled = InlierFit(
         lambda mask: fit_projection(model.world[mask], model.pixels[mask]),
         lambda estimate: model.squared_errors(estimate.P[None])[0] <= threshold_px**2,
         FEWEST_POINTS + 1,
     ).settled(consensus.inliers)
+    estimate, inliers = settled.result, settled.inliers
     count = int(np.count_nonzero(inliers))
     variance = estimate.rms_px**2 * 2 * count / (2 * count - 11)
     covariance = estimate.covariance / selection_efficiency(2 * variance, threshold_px) ** 2

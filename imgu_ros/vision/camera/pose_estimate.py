@@ -130,11 +130,12 @@ def estimate_pose(
         min_inliers=_FEWEST_INLIERS,
         unit=" px",
     )
-    pose, inliers = InlierFit(
+    settled = InlierFit(
         lambda mask: fit_pose(model.points[mask], model.pixels[mask], camera),
         lambda pose: model.squared_errors(np.column_stack((pose.R, pose.t))[None])[0] <= threshold_px**2,
         _FEWEST_INLIERS,
     ).settled(consensus.inliers)
+    pose, inliers = settled.result, settled.inliers
     count = int(np.count_nonzero(inliers))
     variance = pose.rms_px**2 * 2 * count / (2 * count - 6)
     noise_px = math.sqrt(variance) / selection_efficiency(2 * variance, threshold_px)

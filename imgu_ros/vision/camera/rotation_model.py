@@ -91,11 +91,12 @@ def estimate_rotation(
         unit=" px",
     )
     start = consensus.hypothesis
-    minimum, inliers = InlierFit(
+    settled = InlierFit(
         lambda mask: minimise(_RotationProblem(model.rays_src[mask], model.dst[mask], camera_dst), start),
         lambda minimum: model.squared_errors(minimum.estimate[None])[0] <= threshold_px**2,
         _FEWEST_POINTS + 1,
     ).settled(consensus.inliers)
+    minimum, inliers = settled.result, settled.inliers
     squares = float((minimum.linearisation.residuals**2).sum())
     count = int(np.count_nonzero(inliers))
     efficiency = selection_efficiency(2 * squares / (2 * count - 3), threshold_px)

@@ -50,7 +50,7 @@ from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Linearisat
 from imgu_ros.vision.estimation.ransac import Consensus, iterations_needed, ransac
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
 from imgu_ros.vision.estimation.search import RobustModel, Score, WeightedModel
-from imgu_ros.vision.estimation.settling import InlierFit
+from imgu_ros.vision.estimation.settling import InlierFit, SettledFit
 
 __all__ = [
     "Agreement",
@@ -68,6 +68,7 @@ __all__ = [
     "RobustModel",
     "Sampler",
     "Score",
+    "SettledFit",
     "WeightedModel",
     "align_directions",
     "binomial_tail",

@@ -7,8 +7,8 @@ tells for the data at hand (`ChanceModel`). Of the hypotheses tested on wrong da
     tested x P(Binomial(n - m, p) >= k - m)
 
 are expected to find k of n data in agreement. Data at one place say one thing: n that lie within a quarter of the
-threshold of each other count as one. The test is repeated with half, a quarter, ... of the threshold, each time with half the share of
-the false alarms: true data often agree much better than the threshold asks.
+threshold of each other count as one. The test is repeated with half, a quarter, ... of the threshold, each time with
+half the share of the false alarms: true data often agree much better than the threshold asks.
 """
 
 from __future__ import annotations

@@ -17,6 +17,20 @@ Fit = TypeVar("Fit")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SettledFit(Generic[Fit]):
+    """A fit, and what it was fitted to.
+
+    Attributes
+    ----------
+    result : the fit
+    inliers : the mask (N,) that chose its data
+    """
+
+    result: Fit
+    inliers: Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class InlierFit(Generic[Fit]):
     """A fit to chosen data, and what agrees with it.
 
@@ -30,8 +44,8 @@ class InlierFit(Generic[Fit]):
     --------
     >>> values = np.array([0.0, 1.0, 2.0, 3.5, 50.0])
     >>> near = InlierFit(lambda mask: values[mask].mean(), lambda mean: abs(values - mean) < 3, 2)
-    >>> mean, inliers = near.settled(values < 2)
-    >>> float(mean), inliers.tolist()
+    >>> settled = near.settled(values < 2)
+    >>> float(settled.result), settled.inliers.tolist()
     (1.625, [True, True, True, True, False])
     """
 
@@ -39,17 +53,12 @@ class InlierFit(Generic[Fit]):
     agreeing: Callable[[Fit], Mask]
     fewest: int
 
-    def settled(self, inliers: Mask) -> tuple[Fit, Mask]:
-        """Fit to the inliers, then to those of that fit, and so on until they stay the same.
-
-        Returns
-        -------
-        The fit, and the mask that it was fitted to.
-        """
+    def settled(self, inliers: Mask) -> SettledFit[Fit]:
+        """Fit to the inliers, then to those of that fit, and so on until they stay the same."""
         for _ in range(_MOST_ROUNDS):
             fitted = inliers
             result = self.fit(fitted)
             inliers = self.agreeing(result)
             if np.count_nonzero(inliers) < self.fewest or np.array_equal(inliers, fitted):
                 break
-        return result, fitted
+        return SettledFit(result, fitted)

@@ -143,11 +143,12 @@ def _settled(
 ) -> HomographyEstimate:
     """Return the fit to the inliers of H, then to those of that fit, and so on until they stay the same."""
     # From their own linear fit, so that it is theirs alone, however they were found.
-    estimate, fitted = InlierFit(
+    settled = InlierFit(
         lambda mask: fit_homography(src[mask], dst[mask], error=error, refine=refine, orientation=Orientation.ANY),
         lambda estimate: _inliers(estimate.H, src, dst, threshold_px),
         _FEWEST,
     ).settled(_inliers(H, src, dst, threshold_px))
+    estimate, fitted = settled.result, settled.inliers
     count = int(np.count_nonzero(fitted))
     squares = float((TransferProblem(src[fitted], dst[fitted]).residuals(estimate.H) ** 2).sum())
     efficiency = selection_efficiency(squares / max(count - 4, 1), threshold_px)
