@@ -22,8 +22,10 @@ _VIEWS = 48
 #: A view is another one when a corner has moved by this share of the target's size: a camera that stands still repeats
 #: its errors.
 _MOVED = 0.03
-#: Beyond the first views, only every so many new ones are weighed anew.
-_FEW, _EVERY = 8, 4
+#: Views are weighed anew when this share of them is new; of more than so many, one in so many frames is looked at: what
+#: is known by then changes slowly, and a frame has more to do.
+_NEW_SHARE = 0.25
+_MANY, _PAUSE = 16, 5
 #: A difference that counts: in standard deviations, more for few views, and as a share of the focal length.
 #: `benchmarks/calibration_misfit.py` tells how far right calibrations stay below.
 _SIGMAS, _FOR_FEW = 5.0, 2.0
@@ -59,7 +61,8 @@ class CalibrationCheck:
     def __init__(self) -> None:
         self._camera: Camera | None = None
         self._views: deque[_View] = deque(maxlen=_VIEWS)
-        self._new = 0
+        self._outlines: dict[int, tuple[Floats, Floats]] = {}
+        self._new = self._since = 0
         self._evidence: CalibrationEvidence | None = None
         self._extra: Floats | None = None
         self._finding: CalibrationFinding | None = None
@@ -82,7 +85,7 @@ class CalibrationCheck:
         camera : that took the frame
         index, outline : of the target, and where its corners are seen, (4, 2) raw px
         """
-        return self._extra is not None or not self._knows(camera) or self._is_new(index, outline)
+        return self._extra is not None or not self._knows(camera) or (self._is_due() and self._is_new(index, outline))
 
     def examined(self, camera: Camera | None, targets: Sequence[TargetResult]) -> tuple[TargetResult, ...]:
         """Take what one frame says, and return its targets with what is known now in the covariances of their poses.
@@ -97,11 +100,12 @@ class CalibrationCheck:
         if not self._knows(camera):
             self._forget()
         self._camera = camera
-        before = self._new
+        before, due = self._new, self._is_due()
         for target in targets:
-            if target.calibration is not None and target.outline is not None and target.is_sharp:
+            if due and target.calibration is not None and target.outline is not None and target.is_sharp:
                 self._add(target.index, target.outline, target.calibration)
-        if self._new > before and (len(self._views) <= _FEW or self._new >= _EVERY):
+        self._since = 0 if self._new > before else self._since + 1
+        if self._new > before and self._new >= _NEW_SHARE * len(self._views):
             self._weigh(camera)
         return tuple(self._with_misfit(target) for target in targets)
 
@@ -110,21 +114,29 @@ class CalibrationCheck:
 
     def _forget(self) -> None:
         self._views.clear()
-        self._new = 0
+        self._outlines.clear()
+        self._new = self._since = 0
         self._evidence = self._extra = self._finding = None
 
+    def _is_due(self) -> bool:
+        return len(self._views) < _MANY or self._since >= _PAUSE
+
     def _is_new(self, index: int, outline: Points) -> bool:
-        seen = [view for view in self._views if view.index == index]
-        if not seen:
-            return True
-        moved = np.abs(np.array([view.outline for view in seen]) - outline).max(axis=(1, 2))
-        return bool((moved > _MOVED * np.array([view.size_px for view in seen])).all())
+        """Whether a target is seen as in none of the views."""
+        if index not in self._outlines:
+            seen = [view for view in self._views if view.index == index]
+            outlines = np.array([view.outline for view in seen]).reshape(-1, 4, 2)
+            self._outlines[index] = outlines, np.array([_MOVED * view.size_px for view in seen])
+        outlines, moved = self._outlines[index]
+        return bool((np.abs(outlines - outline).reshape(-1, 8).max(axis=1, initial=0) > moved).all())
 
     def _add(self, index: int, outline: Points, test: CalibrationTest) -> None:
         if self._is_new(index, outline):
             x, y = outline.T
             area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
             self._views.append(_View(index, outline, math.sqrt(area), test))
+            # The oldest view, which has left, may be another target's.
+            self._outlines.clear()
             self._new += 1
 
     def _weigh(self, camera: Camera) -> None:
