@@ -496,7 +496,7 @@ def _rejected(rng: np.random.Generator) -> Iterator[Case]:
 
 
 @cache
-def cases() -> tuple[Case, ...]:
-    """Return all cases, the same in every run."""
-    rng = np.random.default_rng(20)
+def cases(seed: int = 20) -> tuple[Case, ...]:
+    """Return all cases, the same for the same seed."""
+    rng = np.random.default_rng(seed)
     return tuple(case for source in (_good, _drawn, _unusual, _faulty, _rejected) for case in source(rng))
