@@ -119,7 +119,8 @@ class FrameSource:
         if frame.camera is not None:
             return frame.camera_remarks
         why = frame.camera_reason or self._why_no_camera_info(pair)
-        return [f"uncalibrated: {why}; homographies, but no poses; a calibration file helps: -p camera.info_file:=FILE"]
+        helps = "" if self.camera_info_file else "; a calibration file helps: -p camera.info_file:=FILE"
+        return [f"uncalibrated: {why}; homographies, but no poses{helps}"]
 
     def _why_no_camera_info(self, pair: Pair[BagMessage, Any]) -> str:
         if self.camera_info_topic is None:

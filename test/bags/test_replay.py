@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -382,6 +383,20 @@ def test_bad_camera_info_costs_its_frame_the_pose_alone(
     assert told[0] in summary.warnings
     assert [(reason.status, reason.count) for reason in summary.reasons] == [("uncalibrated", 1)]
     assert summary.reasons[0].reason in told[0]
+
+
+def test_a_calibration_file_of_another_size_costs_the_poses_alone(
+    bag: Path, parameters: Parameters, tmp_path: Path
+) -> None:
+    text = "{width: 960, height: 720, k: [816, 0, 480, 0, 816, 360, 0, 0, 1], d: [], distortion_model: ''}"
+    (tmp_path / "c.yaml").write_text(text)
+    said: list[str] = []
+    camera = replace(parameters.camera, info_file=str(tmp_path / "c.yaml"))
+    replay([bag], tmp_path / "out", replace(parameters, camera=camera), on_warning=said.append)
+    assert {row["pose_status"] for row in rows(tmp_path / "out")} == {"uncalibrated"}
+    (told,) = (text for text in said if text.startswith("uncalibrated"))
+    assert "c.yaml: size 960 x 720 px, image" in told
+    assert "helps" not in told
 
 
 def test_overwrite_rules(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
