@@ -76,13 +76,18 @@ def ideal_by_camera(camera: Camera, ideal: ArrayLike) -> Floats:
     if not camera.is_distorted:
         return -raw
     # Raw px by ideal px: a derivative that the lens model can lose only where it folds.
-    a, b, c, d = bent.by_xy.reshape(-1, 4).T
+    a, b, c, d = bent.by_xy.reshape(-1, 4, 1).swapaxes(0, 1)
     determinant = a * d - b * c
     if len(ideal) and not float(determinant.min()) > 0:
         raise ShapeError("ideal: beyond the range of the lens model; need points nearer the axis")
-    inverse = (np.stack((d, -b, -c, a), axis=1) / -determinant[:, None]).reshape(-1, 2, 2)
-    K2 = K[:2, :2]
-    return np.asarray(K2 @ inverse @ np.linalg.inv(K2) @ raw, np.float64)
+    (fx, skew), (_, fy) = K[:2, :2].tolist()
+    y = raw[:, 1] / fy
+    x = (raw[:, 0] - skew * y) / fx
+    moved = np.empty_like(raw)
+    moved[:, 1] = (c * x - a * y) / determinant
+    moved[:, 0] = fx * (b * y - d * x) / determinant + skew * moved[:, 1]
+    moved[:, 1] *= fy
+    return moved
 
 
 def _raw_by_camera(camera: Camera, bent_xy: Points, by_coefficients: Floats) -> Floats:

@@ -75,10 +75,10 @@ def bend(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -
 def bend_with_derivatives(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> Bent:
     """As `bend`, of the same `model`, `coefficients` and `xy`, with the derivative by the coefficients as well."""
     model, k, xy = _checked(model, coefficients, xy)
-    bent, by_xy = bend(model, k, xy)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        bent, by_xy = _BENT[model](k, xy)
         by_k = _equidistant_by_coefficients(xy) if model is DistortionModel.EQUIDISTANT else _by_coefficients(k, xy)
-    if not np.isfinite(by_k).all():
+    if not (np.isfinite(bent).all() and np.isfinite(by_xy).all() and np.isfinite(by_k).all()):
         raise ShapeError(f"xy: the {model} model is not finite at {np.abs(xy).max():g}; need points nearer the axis")
     return Bent(bent, by_xy, by_k)
 
