@@ -93,8 +93,9 @@ def weigh_calibration(tests: Sequence[CalibrationTest], camera: Camera) -> Calib
     """
     require_type(camera, Camera, "camera")
     tests = as_sequence(tests, "tests")
-    for index, test in enumerate(tests):
-        require_type(test, CalibrationTest, f"tests[{index}]")
+    others = set(map(type, tests)) - {CalibrationTest}
+    if others:
+        raise ShapeError(f"tests: {', '.join(sorted(kind.__name__ for kind in others))}; need CalibrationTest objects")
     if not tests:
         raise TooFewPoints("tests: none; need at least one")
     count = 4 + len(camera.distortion)
