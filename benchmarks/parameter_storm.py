@@ -85,7 +85,9 @@ def _scalar(known: Declaration, element: str, rng: random.Random) -> Any:
 
 def settable() -> list[Declaration]:
     """Return the parameters that can be set while frames flow."""
-    return [known for known in declarations() if not known.read_only and not known.name.startswith("targets.")]
+    # A file is looked for, and an encoding among those that are known: not every text is a value of these.
+    looked_up = ("targets.", "camera.info_file", "raw.encoding")
+    return [known for known in declarations() if not known.read_only and not known.name.startswith(looked_up)]
 
 
 def storm(folder: Path, arguments: argparse.Namespace) -> dict[str, Any]:

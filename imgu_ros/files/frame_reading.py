@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from imgu_ros.codec.camera_reading import CameraDescription, CameraReading, read_camera
-from imgu_ros.codec.encodings import encoding_named, encoding_names
+from imgu_ros.codec.encodings import encoding_names, is_image_encoding
 from imgu_ros.codec.frame import decode_frame, read_camera_info
-from imgu_ros.errors import EncodingError, FileError, ParameterError
+from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.camera_info_file import read_description
 from imgu_ros.files.target_images import expanded_path
+from imgu_ros.nearest_name import nearest_name
 from imgu_ros.params import Parameters
 from imgu_ros.perception.frame import Frame
 
@@ -94,10 +95,9 @@ def as_read(parameters: Parameters) -> FrameReading:
 
 def check_encoding(name: str) -> None:
     """Raise ParameterError, with all known names, unless `raw.encoding` is empty or the name of an encoding."""
-    try:
-        if name:
-            encoding_named(name)
-    except EncodingError as error:
-        known = ", ".join(encoding_names())
-        reason = str(error).removeprefix("encoding: ")
-        raise ParameterError(f"raw.encoding: {reason}; need one of {known}") from None
+    if name and not is_image_encoding(name):
+        near = nearest_name(name, encoding_names())
+        nearest = f" (nearest: {near})" if near else ""
+        raise ParameterError(
+            f"raw.encoding: {name[:40]!r} is unknown{nearest}; need one of {', '.join(encoding_names())}"
+        )
