@@ -5,6 +5,10 @@
 `homogr` (8 pairs) and `evd` (8 extreme views, 2 to 50 % inliers). The matches are shuffled by the seed, the same for
 every method; 3 px, the same confidence and number of iterations. RMSE of the labelled inliers in the second picture;
 no answer counts as infinite.
+
+Then simulated matches whose truth is known (`imgu_ros.simulate.plane_matches`): targets that take 1 to 0.05 of the
+frame's width among wrong matches of six kinds, NEES (8 expected), share of the true matches found and median corner
+error, beside USAC_MAGSAC; and how often random pairs are taken for a plane (OpenCV's: with 5 inliers or more).
 """
 
 from __future__ import annotations
@@ -20,12 +24,21 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import EstimationError
+from imgu_ros.simulate.plane_matches import KINDS, plane_matches
 from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.projective.estimate import estimate_homography
 
 THRESHOLD_PX = 3.0
 FOUND_PX = 5.0
 SETS = ("homogr", "evd")
+SCALES = (1.0, 0.4, 0.2, 0.1, 0.05)
+FEWEST = 5
+#: Runs of each shape and threshold at ten seeds, by the number of pairs.
+RANDOM_RUNS = {
+    "biweight": {8: 35, 12: 35, 20: 30, 50: 12, 200: 3, 2000: 1},
+    "truncated": {8: 40, 12: 40, 20: 40, 50: 40, 200: 20, 2000: 3},
+    "USAC_MAGSAC": {8: 40, 12: 40, 20: 40, 50: 40, 200: 20, 2000: 3},
+}
 OPENCV = {
     "RANSAC": cv2.RANSAC,
     "USAC_DEFAULT": cv2.USAC_DEFAULT,
@@ -54,6 +67,30 @@ class Figures:
     share_found: float
     mean_ms: float
     median_ms: float
+
+
+@dataclass(frozen=True)
+class OutlierFigures:
+    """Both methods on views of one width among wrong matches of one kind, 40 and 80 % of all."""
+
+    kind: str
+    scale: float
+    nees: float
+    recall: float
+    corner_px: float
+    failed: float
+    magsac_recall: float
+    magsac_corner_px: float
+
+
+@dataclass(frozen=True)
+class RandomFigures:
+    """How often one method takes random pairs for a plane: `accepted` of `runs`."""
+
+    method: str
+    count: int
+    runs: int
+    accepted: int
 
 
 @dataclass(frozen=True)
@@ -146,8 +183,11 @@ def main() -> None:
             raise SystemExit(f"{arguments.data}: no homography/{name}; need the data folder")
         figures += _measured(name, loaded, methods, options)
         _print_verdict(name, figures)
+    trials = [_outliers(kind, scale, arguments.seeds) for kind in KINDS for scale in SCALES]
+    chance = _random_pairs(arguments.seeds)
     if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(f) for f in figures], indent=2) + "\n")
+        report = {"sets": figures, "outliers": trials, "random": chance}
+        arguments.json.write_text(json.dumps({k: [asdict(f) for f in v] for k, v in report.items()}, indent=2) + "\n")
 
 
 def _measured(
@@ -180,6 +220,74 @@ def _measured(
             f"{name:8} {method:18} {f.median_rmse_px:14.3f} {f.share_found:14.3f} {f.mean_ms:9.1f} {f.median_ms:9.1f}"
         )
     return figures
+
+
+def _outliers(kind: str, scale: float, seeds: int) -> OutlierFigures:
+    """Measure both methods among wrong matches of a kind."""
+    nees, recall, corners, theirs, their_corners, runs = [], [], [], [], [], 0
+    for share in (0.4, 0.8):
+        for seed in range(seeds):
+            runs += 1
+            matches = plane_matches(kind, share, scale, seed)
+            try:
+                found = estimate_homography(matches.src, matches.dst, np.random.default_rng(seed))
+            except EstimationError:
+                pass
+            else:
+                nees.append(matches.nees(found))
+                recall.append(float(found.inliers[matches.true].mean()))
+                corners.append(matches.corner_error(found.H))
+            H, mask = cv2.findHomography(
+                matches.src, matches.dst, cv2.USAC_MAGSAC, THRESHOLD_PX, maxIters=2000, confidence=0.9999
+            )
+            theirs.append(0.0 if H is None else float(mask.ravel()[matches.true].mean()))
+            their_corners.append(np.inf if H is None else matches.corner_error(H))
+    if kind == KINDS[0] and scale == SCALES[0]:
+        print(f"{'wrong matches':18} {'scale':>6} {'NEES':>7} {'recall':>7} {'corner':>7} {'none':>5} | MAGSAC")
+    f = OutlierFigures(
+        kind,
+        scale,
+        *(float(np.mean(x)) if x else float("nan") for x in (nees, recall)),
+        float(np.median(corners)) if corners else float("nan"),
+        1 - len(nees) / runs,
+        float(np.mean(theirs)),
+        float(np.median(their_corners)),
+    )
+    print(
+        f"{kind:18} {scale:6.2f} {f.nees:7.2f} {f.recall:7.3f} {f.corner_px:7.2f} {f.failed:5.2f} | "
+        f"{f.magsac_recall:.3f} {f.magsac_corner_px:8.2f}",
+        flush=True,
+    )
+    return f
+
+
+def _random_pairs(seeds: int) -> list[RandomFigures]:
+    """Count how often random pairs agree, in frames of three shapes, with thresholds of 1, 3 and 10 px."""
+    figures = []
+    for method, repeats in RANDOM_RUNS.items():
+        for count, repeat in repeats.items():
+            runs = accepted = 0
+            for extent in ((640, 480), (100, 100), (3000, 60)):
+                for threshold in (1.0, 3.0, 10.0):
+                    for seed in range(max(1, repeat * seeds // 10)):
+                        rng = np.random.default_rng((seed, count))
+                        src, dst = rng.uniform(0, 1, (2, count, 2)) * extent
+                        runs += 1
+                        accepted += _accepted(method, src, dst, threshold, rng)
+            figures.append(RandomFigures(method, count, runs, accepted))
+            print(f"random pairs: {method:18} {count:5} pairs: {accepted} of {runs} accepted", flush=True)
+    return figures
+
+
+def _accepted(method: str, src: Points, dst: Points, threshold: float, rng: np.random.Generator) -> bool:
+    if method in OPENCV:
+        H, mask = cv2.findHomography(src, dst, OPENCV[method], threshold, maxIters=2000, confidence=0.9999)
+        return H is not None and np.count_nonzero(mask) >= FEWEST
+    try:
+        estimate_homography(src, dst, rng, threshold_px=threshold, score=method)
+    except EstimationError:
+        return False
+    return True
 
 
 def _print_verdict(name: str, figures: list[Figures]) -> None:
