@@ -33,7 +33,7 @@ FOUND_PX = 5.0
 SETS = ("homogr", "evd")
 SCALES = (1.0, 0.4, 0.2, 0.1, 0.05)
 FEWEST = 5
-#: Runs of each shape and threshold at ten seeds, by the number of pairs.
+#: Runs of each shape and threshold at ten trials, by the number of pairs.
 RANDOM_RUNS = {
     "biweight": {8: 35, 12: 35, 20: 30, 50: 12, 200: 3, 2000: 1},
     "truncated": {8: 40, 12: 40, 20: 40, 50: 40, 200: 20, 2000: 3},
@@ -161,6 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder with homography/homogr, evd")
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--trials", type=int, default=10, help="seeds of the simulated matches")
     parser.add_argument("--iterations", type=int, default=2000, help="OpenCV's default is 2000")
     parser.add_argument("--confidence", type=float, default=0.9999)
     parser.add_argument("--json", type=Path, help="write the figures to this JSON file")
@@ -183,8 +184,8 @@ def main() -> None:
             raise SystemExit(f"{arguments.data}: no homography/{name}; need the data folder")
         figures += _measured(name, loaded, methods, options)
         _print_verdict(name, figures)
-    trials = [_outliers(kind, scale, arguments.seeds) for kind in KINDS for scale in SCALES]
-    chance = _random_pairs(arguments.seeds)
+    trials = [_outliers(kind, scale, arguments.trials) for kind in KINDS for scale in SCALES]
+    chance = _random_pairs(arguments.trials)
     if arguments.json:
         report = {"sets": figures, "outliers": trials, "random": chance}
         arguments.json.write_text(json.dumps({k: [asdict(f) for f in v] for k, v in report.items()}, indent=2) + "\n")
@@ -261,7 +262,7 @@ def _outliers(kind: str, scale: float, seeds: int) -> OutlierFigures:
     return f
 
 
-def _random_pairs(seeds: int) -> list[RandomFigures]:
+def _random_pairs(trials: int) -> list[RandomFigures]:
     """Count how often random pairs agree, in frames of three shapes, with thresholds of 1, 3 and 10 px."""
     figures = []
     for method, repeats in RANDOM_RUNS.items():
@@ -269,11 +270,11 @@ def _random_pairs(seeds: int) -> list[RandomFigures]:
             runs = accepted = 0
             for extent in ((640, 480), (100, 100), (3000, 60)):
                 for threshold in (1.0, 3.0, 10.0):
-                    for seed in range(max(1, repeat * seeds // 10)):
+                    for seed in range(max(1, repeat * trials // 10)):
                         rng = np.random.default_rng((seed, count))
                         src, dst = rng.uniform(0, 1, (2, count, 2)) * extent
                         runs += 1
-                        accepted += _accepted(method, src, dst, threshold, rng)
+                        accepted += int(_accepted(method, src, dst, threshold, rng))
             figures.append(RandomFigures(method, count, runs, accepted))
             print(f"random pairs: {method:18} {count:5} pairs: {accepted} of {runs} accepted", flush=True)
     return figures
@@ -282,7 +283,7 @@ def _random_pairs(seeds: int) -> list[RandomFigures]:
 def _accepted(method: str, src: Points, dst: Points, threshold: float, rng: np.random.Generator) -> bool:
     if method in OPENCV:
         H, mask = cv2.findHomography(src, dst, OPENCV[method], threshold, maxIters=2000, confidence=0.9999)
-        return H is not None and np.count_nonzero(mask) >= FEWEST
+        return H is not None and int(np.count_nonzero(mask)) >= FEWEST
     try:
         estimate_homography(src, dst, rng, threshold_px=threshold, score=method)
     except EstimationError:
