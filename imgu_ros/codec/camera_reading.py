@@ -19,6 +19,8 @@ from imgu_ros.vision.camera.distortion_model import DistortionModel
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.projection import as_intrinsic_matrix
 
+#: What should be 0 or 1 in K may be off by this, of a scale of 1: float32, products of matrices. Less than 0.01 px.
+_ROUNDING = 1e-6
 #: Of the image, the share in which the lens model must have an inverse; a circular fisheye covers less.
 _INVERTIBLE, _INVERTIBLE_FISHEYE = 0.5, 0.05
 
@@ -102,9 +104,11 @@ def read_camera(
 
 
 def _read(said: CameraDescription, rectified: bool, image_size: tuple[int, int] | None) -> CameraReading:
-    for name, values in (("K", said.K), ("D", said.D), ("R", said.R), ("P", said.P)):
-        if not np.isfinite(values).all():
-            raise EncodingError(f"{name} {listed(values)}; need finite numbers")
+    used = "P" if rectified else "KD"
+    broken = [name for name in "KDRP" if not np.isfinite(getattr(said, name)).all()]
+    for name in broken:
+        if name in used:
+            raise EncodingError(f"{name} {listed(getattr(said, name))}; need finite numbers")
     name = "P[:3, :3]" if rectified else "K"
     try:
         matrix = _matrix(said, rectified)
@@ -124,6 +128,9 @@ def _read(said: CameraDescription, rectified: bool, image_size: tuple[int, int] 
     camera.K.flags.writeable = camera.distortion.flags.writeable = False
     remarks = [*(f"{name} {remark}" for remark in verdict.remarks), lens.remark]
     remarks += tangential_remark(lens.model, lens.coefficients), _disagreement(said)
+    remarks += [
+        f"{name} {listed(getattr(said, name))} has numbers that are not finite; it is not used" for name in broken
+    ]
     return CameraReading(camera, remarks=tuple(f"{said.source}: {remark}" for remark in remarks if remark))
 
 
@@ -137,9 +144,17 @@ def _matrix(said: CameraDescription, rectified: bool) -> Matrix3:
     if not matrix[:2].any():  # some write the last 1 all the same
         raise EncodingError(f"{letter} is all zero: the camera is not calibrated")
     try:
-        return as_intrinsic_matrix(matrix, name)
+        return as_intrinsic_matrix(_without_rounding(matrix), name)
     except ShapeError as error:
         raise EncodingError(str(error)) from None
+
+
+def _without_rounding(matrix: Matrix3) -> Matrix3:
+    """Return it with exact zeros and the exact 1 where it has them but for rounding."""
+    scale = np.array((1.0, abs(matrix[1, 1]), 1.0))[:, None]
+    exact = np.array(((0, 0, 0), (0, 0, 0), (0, 0, 1.0)))
+    fixed = np.array(((0, 0, 0), (1, 0, 0), (1, 1, 1)), bool)
+    return np.where(fixed & (np.abs(matrix - exact) <= _ROUNDING * scale), exact, matrix)
 
 
 def _judged(said: CameraDescription, matrix: Matrix3, model: DistortionModel) -> Verdict:

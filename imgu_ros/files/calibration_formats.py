@@ -208,7 +208,8 @@ def _yaml_content(text: str, source: str) -> Mapping[str, Any]:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise FileError(f"{source}: {' '.join(str(error).split())[:200]}; {_WANTED}") from None
     if not isinstance(content, dict):
-        raise FileError(f"{source}: holds {type(content).__name__}; {_WANTED}")
+        held = {str: "plain text or XML", type(None): "nothing"}.get(type(content), type(content).__name__)
+        raise FileError(f"{source}: holds {held}; {_WANTED}")
     return content
 
 
