@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,8 @@ def camera_info_message(make: MessageFactory, header: Header, camera: Camera) ->
 def _numbers(message: Any, name: str, source: str) -> tuple[float, ...]:
     values = getattr(message, name) if hasattr(message, name) else getattr(message, name.upper())
     try:
-        return tuple(np.asarray(values, dtype=np.float64).ravel().tolist())
+        numbers = np.asarray(values, dtype=np.float64).ravel().tolist()
     except (TypeError, ValueError):
         raise EncodingError(f"{source}: {name.upper()} is {str(values)[:40]}; need numbers") from None
+    # One object for every NaN: a NaN equals none but itself, and what was read before is to be found again.
+    return tuple(math.nan if math.isnan(number) else number for number in numbers)

@@ -236,3 +236,8 @@ def test_compressed_frame(make):
     frame = decode_frame(image, info(make), rectified=False)
     assert frame.image.layout.pattern == "rggb"
     assert frame.camera is not None
+
+
+def test_equal_messages_give_one_camera_whatever_is_not_used(make):
+    first, second = (decode(info(make, p=np.full(12, NAN), d=np.zeros(5))) for _ in range(2))
+    assert first is second
