@@ -6,7 +6,7 @@ tells for the data at hand (`ChanceModel`). Of the hypotheses tested on wrong da
 
     tested x P(Binomial(n - m, p) >= k - m)
 
-are expected to find k of n data in agreement. Data at one place say one thing: n that lie within a quarter of the
+are expected to find k of n data in agreement. Data at one place say one thing: n that lie within the
 threshold of each other count as one. The test is repeated with half, a quarter, ... of the threshold, each time with
 half the share of the false alarms: true data often agree much better than the threshold asks.
 """
@@ -49,8 +49,7 @@ class ChanceModel(Protocol):
     def shares(self, threshold: float) -> Floats:
         """Return what each datum counts, (N,): 1 for one alone, 1/n for n that lie within the threshold.
 
-        With the whole threshold a search weighs data, lest a hypothesis that maps everything onto one place looks good
-        where many lie there; with a quarter, copies count as one against chance.
+        Lest a hypothesis that maps everything onto one place looks good where many lie there, and copies are counted.
         """
 
     def agreement_probability(self, hypothesis: Floats, threshold: float) -> float:

@@ -21,8 +21,6 @@ from imgu_ros.vision.estimation.search import SEARCHES, RobustModel, Score
 #: Probability that a wrong hypothesis agrees with a point, and inliers beyond chance that make a stop early.
 _BY_CHANCE = 0.05
 _SUPPORT = 8
-#: Data within this part of the threshold are one, seen several times, where agreement is weighed against chance.
-_ONE_PLACE = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,8 +124,7 @@ def ransac(
     if isinstance(model, ChanceModel) and math.isfinite(max_by_chance):
         probability = model.agreement_probability(search.best, threshold)
         ratios = np.sqrt(search.errors) / threshold
-        apart = model.shares(threshold / _ONE_PLACE)
-        agreement = Agreement(apart, ratios, model.sample_size, model.codimension, probability)
+        agreement = Agreement(shares, ratios, model.sample_size, model.codimension, probability)
         if not agreement.expected_by_chance(scored) <= max_by_chance:
             raise NoConsensus(
                 _by_chance(agreement, found, scored, max_by_chance, f"{threshold:g}{unit}"), inliers=found

@@ -23,6 +23,10 @@ from imgu_ros.vision.projective.refine import HomographyError, TransferProblem
 
 #: Correspondences of which one can contradict the others.
 _FEWEST = 5
+#: Inliers on a line that are many, those beside it that are not chance, and rounds in which the line is found.
+_MANY_ON_LINE = 8
+_FEWEST_OFF_LINE = 5
+_LINE_ROUNDS = 10
 #: Samples that are drawn to tell whether the plane is seen from the side that is not allowed.
 _OTHER_SIDE_SAMPLES = 500
 _OTHER_SIDE = {Orientation.FRONT: Orientation.MIRRORED, Orientation.MIRRORED: Orientation.FRONT}
@@ -120,6 +124,8 @@ def estimate_homography(
                 raise DegenerateConfiguration(_other_side(seen, other)) from None
         raise
     estimate = _settled(src, dst, model.denormalised(found.hypothesis), threshold_px, error, refine)
+    if not estimate.inliers.all():
+        _require_off_line(dst[estimate.inliers], threshold_px)
     return replace(estimate, iterations=found.iterations)
 
 
@@ -131,6 +137,24 @@ def _other_side(seen: Consensus, other: Orientation) -> str:
             'need orientation="mirrored" or "any" where that is meant'
         )
     return f'src, dst: {agree} from its front; need orientation="front" or "any"'
+
+
+def _require_off_line(dst: Points, threshold_px: float) -> None:
+    """Refuse inliers of which all but a few lie on a line: of many wrong matches, two or three always fit beside it.
+
+    The line is the one with the least sum of distances, by weighted total least squares.
+    """
+    distance = np.ones(len(dst))
+    for _ in range(_LINE_ROUNDS):
+        weights = 1 / np.maximum(distance, threshold_px)
+        away = dst - weights @ dst / weights.sum()
+        _, vectors = np.linalg.eigh((weights[:, None] * away).T @ away)
+        distance = np.abs(away @ vectors[:, 0])
+    on = int(np.count_nonzero(distance <= threshold_px))
+    if on >= _MANY_ON_LINE and len(dst) - on < _FEWEST_OFF_LINE:
+        raise DegenerateConfiguration(
+            f"inliers: {on} of {len(dst)} on a line, the few beside it by chance; need {_FEWEST_OFF_LINE} off it"
+        )
 
 
 def _settled(
