@@ -151,7 +151,9 @@ def _centre_problem(
         if rescaled and min(u, v) > _NO_CENTRE
         else ""
     )
-    return f"{seen}{hint}; need it near the middle, ({(size[0] - 1) / 2:g}, {(size[1] - 1) / 2:g})"
+    whole = read == size and (abs(u) > _NO_CENTRE or abs(v) > _NO_CENTRE)
+    part_of = "; if the image is a part of the sensor, need width, height and K of all of it, and roi" if whole else ""
+    return f"{seen}{hint}; need it near the middle, ({(size[0] - 1) / 2:g}, {(size[1] - 1) / 2:g}){part_of}"
 
 
 def _is_central(matrix: Matrix3, size: tuple[int, int]) -> bool:

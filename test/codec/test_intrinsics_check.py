@@ -122,6 +122,18 @@ def test_which_matrix_would_do_is_said() -> None:
     assert "K has fx 500 px: if the images are not rectified, set camera.rectified to false" in reason
 
 
+def test_a_window_that_is_in_K_alone_is_told_how_it_is_said() -> None:
+    def reason(**more) -> str:
+        return read_camera(described(size=(700, 520), **more), rectified=False).reason
+
+    assert reason(c=(435, 338)).endswith(
+        "; if the image is a part of the sensor, need width, height and K of all of it, and roi"
+    )
+    assert "part of the sensor" in reason(c=(-65, 188))
+    assert "part of the sensor" not in reason(c=(0, 0))
+    assert "part of the sensor" not in reason(c=(435, 338), roi=(10, 10, 400, 300))
+
+
 def test_the_order_of_D() -> None:
     for D, model, odd in (
         ((0.1, -0.1, 0.02, -0.02, 0.05), "plumb_bob", False),
