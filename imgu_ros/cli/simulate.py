@@ -42,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--tilt", type=float, default=35.0, metavar="DEG", help="largest tilt of the camera (default 35)")
     add("--zoom", type=float, default=2.4, metavar="RATIO", help="largest over smallest distance (default 2.4)")
     add("--turns", type=float, default=1.0, metavar="N", help="turns in the image plane (default 1)")
-    add("--distortion", choices=("none", "plumb_bob", "rational_polynomial", "equidistant"), default="none",
+    add("--distortion", default="none",
+        choices=("none", "plumb_bob", "rational_polynomial", "equidistant", "thin_prism", "tilted"),
         help="give the camera a typical lens of that model (default none)")
 
     add("--view-deg", type=float, metavar="DEG",

@@ -37,6 +37,8 @@ TYPICAL_LENSES: dict[DistortionModel, tuple[float, ...]] = {
     DistortionModel.PLUMB_BOB: (-0.26, 0.09, 0.0008, -0.0005, -0.01),
     DistortionModel.RATIONAL_POLYNOMIAL: (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01),
     DistortionModel.EQUIDISTANT: (-0.03, 0.008, -0.004, 0.001),
+    DistortionModel.THIN_PRISM: (0.35, 0.08, 0.0006, -0.0004, 0.01, 0.62, 0.16, 0.01, 0.002, -0.001, 0.0015, 0.0005),
+    DistortionModel.TILTED: (-0.26, 0.09, 0.0008, -0.0005, -0.01, 0, 0, 0, 0, 0, 0, 0, 0.02, -0.015),
 }
 
 
