@@ -195,6 +195,20 @@ def as_plain(array: NDArray[Any], name: str) -> NDArray[Any]:
     return np.asarray(array)
 
 
+def as_mask(mask: ArrayLike, count: int, name: str) -> Mask:
+    """Return `mask` as an array of `count` bools.
+
+    Raises
+    ------
+    ShapeError
+        If it is something else.
+    """
+    array = _as_array(mask, name)
+    if array.dtype != bool or array.shape != (count,):
+        raise ShapeError(f"{name}: shape {array.shape}, {array.dtype}; need ({count},) bool")
+    return array
+
+
 def require_unit_range(image: Image, name: str = "image") -> None:
     """Refuse a float image that is not in [0, 1], as one in 0 to 255 is not; an overshoot of filters, -1 to 2, passes.
 

@@ -72,6 +72,7 @@ def estimate_projection(
         lambda mask: fit_projection(model.world[mask], model.pixels[mask]),
         lambda estimate: model.squared_errors(estimate.P[None])[0] <= threshold_px**2,
         FEWEST_POINTS + 1,
+        model.count,
     ).settled(consensus.inliers)
     estimate, inliers = settled.result, settled.inliers
     count = int(np.count_nonzero(inliers))

@@ -134,6 +134,7 @@ def estimate_pose(
         lambda mask: fit_pose(model.points[mask], model.pixels[mask], camera),
         lambda pose: model.squared_errors(np.column_stack((pose.R, pose.t))[None])[0] <= threshold_px**2,
         _FEWEST_INLIERS,
+        model.count,
     ).settled(consensus.inliers)
     pose, inliers = settled.result, settled.inliers
     count = int(np.count_nonzero(inliers))

@@ -95,6 +95,7 @@ def estimate_rotation(
         lambda mask: minimise(_RotationProblem(model.rays_src[mask], model.dst[mask], camera_dst), start),
         lambda minimum: model.squared_errors(minimum.estimate[None])[0] <= threshold_px**2,
         _FEWEST_POINTS + 1,
+        model.count,
     ).settled(consensus.inliers)
     minimum, inliers = settled.result, settled.inliers
     squares = float((minimum.linearisation.residuals**2).sum())

@@ -171,6 +171,7 @@ def _settled(
         lambda mask: fit_homography(src[mask], dst[mask], error=error, refine=refine, orientation=Orientation.ANY),
         lambda estimate: _inliers(estimate.H, src, dst, threshold_px),
         _FEWEST,
+        len(src),
     ).settled(_inliers(H, src, dst, threshold_px))
     estimate, fitted = settled.result, settled.inliers
     count = int(np.count_nonzero(fitted))

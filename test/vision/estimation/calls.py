@@ -16,6 +16,7 @@ from imgu_ros.vision.estimation.losses import cauchy, huber, tukey
 from imgu_ros.vision.estimation.nonlinear import Linearisation, Minimum, minimise
 from imgu_ros.vision.estimation.ransac import iterations_needed, ransac
 from imgu_ros.vision.estimation.sampling import draw_samples
+from imgu_ros.vision.estimation.settling import InlierFit
 
 
 class Linear:
@@ -38,6 +39,11 @@ def weights_and_costs(loss: str, scale: float, squared: np.ndarray) -> tuple[np.
 
 def _minimum(rng: np.random.Generator) -> Minimum:
     return minimise(Linear(rng), np.zeros(2))
+
+
+def _mean_of_nine() -> InlierFit[float]:
+    values = np.arange(9.0)
+    return InlierFit(lambda mask: float(values[mask].mean()), lambda mean: np.abs(values - mean) < 3, 2, 9)
 
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
@@ -78,5 +84,6 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "confidence": 0.9,
     },
     iterations_needed: lambda _: {"inlier_share": 0.5, "sample_size": 4, "confidence": 0.99},
+    InlierFit.settled: lambda _: {"self": _mean_of_nine(), "inliers": np.arange(9) < 4},
     draw_samples: lambda rng: {"sampler": "prosac", "count": 9, "sample_size": 4, "rng": rng},
 }
