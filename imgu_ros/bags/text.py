@@ -25,12 +25,22 @@ def text_of(data: bytes) -> str:
 
 
 def ascii_patched(data: bytes | memoryview, text: bytes) -> bytes:
-    """Return `data` with the bytes of the first `text` in it that are not UTF-8 replaced by question marks.
+    """Return `data` with the bytes of the first string `text` in it that are not UTF-8 replaced by question marks.
 
-    For deserialisers that take nothing but UTF-8: lengths and places in the data stay what they are.
+    For deserialisers that take nothing but UTF-8: lengths and places in the data stay what they are. A string follows
+    its length, which ROS 2 gives with a closing zero byte and ROS 1 without; the same bytes elsewhere are other data.
+
+    Raises
+    ------
+    ValueError
+        If there is no such string.
     """
     whole = bytes(data)
-    at = whole.find(text)
+    sizes = [(len(text) + zero).to_bytes(4, order) for zero in (1, 0) for order in ("little", "big")]
+    found = [place + 4 for size in sizes if (place := whole.find(size + text)) >= 0]
+    if not found:
+        raise ValueError(f"no string of {len(text)} bytes that are not UTF-8 in the message")
+    at = min(found)
     patched = bytearray(text)
     while True:
         try:

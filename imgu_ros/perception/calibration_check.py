@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgu_ros.errors import EstimationError
+from imgu_ros.errors import ImguError
 from imgu_ros.perception.result import CalibrationFinding, TargetResult
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.calibration_evidence import CalibrationEvidence, weigh_calibration
@@ -95,11 +95,13 @@ class CalibrationCheck:
         camera : that took the frame; None: not calibrated
         targets : of the frame
         """
-        if camera is None or all(target.pose is None for target in targets):
+        if camera is None:
             return tuple(targets)
         if not self._knows(camera):
             self._forget()
         self._camera = camera
+        if all(target.pose is None for target in targets):
+            return tuple(targets)
         before, due = self._new, self._is_due()
         for target in targets:
             if due and target.calibration is not None and target.outline is not None and target.is_sharp:
@@ -140,23 +142,27 @@ class CalibrationCheck:
             self._new += 1
 
     def _weigh(self, camera: Camera) -> None:
-        self._new = 0
+        added, self._new = self._new, 0
         try:
             evidence = weigh_calibration([view.test for view in self._views], camera)
-        except (EstimationError, np.linalg.LinAlgError):
+        except (ImguError, np.linalg.LinAlgError):
+            # What cannot be weighed must cost neither the frame nor the views of before.
+            for _ in range(min(added, len(self._views))):
+                self._views.pop()
+            self._outlines.clear()
             return
         self._extra = None if evidence.covariance is None else factor_of(evidence.covariance)
         self._finding = finding_of(evidence, self._finding)
 
     def _with_misfit(self, target: TargetResult) -> TargetResult:
-        if self._extra is None or target.calibration is None or target.pose is None:
+        if self._extra is None or target.pose is None:
             return target
-        factor = target.calibration.pose_by_camera @ self._extra
-        return replace(
-            target,
-            pose=target.pose.with_shared_error(factor),
-            solutions=tuple(pose.with_shared_error(factor) for pose in target.solutions),
-        )
+        # Poses of one frame are fused by the errors that they share: all have as many.
+        factor = np.zeros((6, self._extra.shape[1]))
+        if target.calibration is not None:
+            factor = target.calibration.pose_by_camera @ self._extra
+        pose = target.pose.with_shared_error(factor)
+        return replace(target, pose=pose, solutions=(pose, *target.solutions[1:]))
 
 
 def finding_of(evidence: CalibrationEvidence, before: CalibrationFinding | None = None) -> CalibrationFinding:

@@ -88,7 +88,7 @@ class Chain:
         self._last_ns = None
         self._times = FrameTimes()
         self._before_zero = None
-        self._calibration.reset()
+        self._calibration = CalibrationCheck()
 
     def continue_from(self, before: Chain) -> None:
         """Go on where another chain stands: tracks of targets that both know by name and picture go on.
@@ -145,12 +145,13 @@ class Chain:
         before, last_ns = self._before_zero, self._last_ns
         self._before_zero = None
         if last_ns is not None and stamp_ns < last_ns - JUMP_NS:
-            memory = _Memory(last_ns, self._times, self._tracks, self._seen)
+            memory = _Memory(last_ns, self._times, self._tracks, self._seen, self._calibration)
             self.reset()
             if stamp_ns == 0:
                 self._before_zero = memory
         elif before is not None and stamp_ns >= before.last_ns - JUMP_NS:
             self._times, self._tracks, self._seen = before.times, before.tracks, before.seen
+            self._calibration = before.calibration
         self._last_ns = stamp_ns
 
     def _worked(
@@ -184,7 +185,7 @@ class Chain:
             pyramid=features.pyramid if features else None,
             keypoints=features.described.keypoints if features else None,
             descriptors=features.described.descriptors if features else None,
-            calibration=self._calibration.finding,
+            calibration=None if frame.camera is None else self._calibration.finding,
             times_ns=clock.times_ns,
             total_ns=time.perf_counter_ns() - start,
         )
@@ -250,6 +251,7 @@ class _Memory:
     times: FrameTimes
     tracks: list[Track | None]
     seen: list[Sighting | None]
+    calibration: CalibrationCheck
 
 
 def rejected_targets(targets: Sequence[Target], reason: str) -> tuple[TargetResult, ...]:

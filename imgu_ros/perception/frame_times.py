@@ -4,6 +4,8 @@ from __future__ import annotations
 
 #: From one frame to the next where no two stamps have told it.
 _USUAL_PERIOD_NS = 33_000_000
+#: What is longer is a gap, not the time from one frame to the next.
+_LONGEST_PERIOD_NS = 2_000_000_000
 
 
 class FrameTimes:
@@ -22,8 +24,9 @@ class FrameTimes:
         if self._stamp_ns is None:
             self._time_ns = stamp_ns
         else:
-            if stamp_ns > self._stamp_ns:
-                self._period_ns = stamp_ns - self._stamp_ns
-            self._time_ns += self._period_ns
+            passed_ns = stamp_ns - self._stamp_ns
+            if 0 < passed_ns < _LONGEST_PERIOD_NS:
+                self._period_ns = passed_ns
+            self._time_ns += passed_ns if passed_ns > 0 else self._period_ns
         self._stamp_ns = stamp_ns
         return self._time_ns

@@ -31,6 +31,8 @@ from imgu_ros.vision.projective.transform import faces_camera
 #: Comparing it with the frame tells it from chance better: with both, one in ten seen small or steeply was lost
 #: (`imgu bench --suite detection --conditions size-10,tilt-70`).
 _BY_CHANCE = 1e-3
+#: Halvings of what patches do not confirm: its covariance is not one to judge a calibration by.
+_NOT_SHARP = 1
 #: How wrong, raw px, a homography of keypoints may be.
 _DETECTION_REACH_PX = 8.0
 #: Of the patches in view, spread over the target, the share that says as much as comparing all of it.
@@ -108,7 +110,7 @@ def located(
                 is_confirmed = share >= _CONFIRMING_SHARE
         with clock.measures(Stage.HOMOGRAPHY):
             # Where patches do not agree (blur, little texture), keypoints still say where the target is.
-            place = place or _fitted(agreed, matches, parameters)
+            place = place or replace(_fitted(agreed, matches, parameters), halvings=_NOT_SHARP)
             # Where little of a target is in view, only the refined homography is good enough to tell.
             require_plausible(known, place.homography)
             if not is_confirmed and sight.pictures is not None:

@@ -278,9 +278,13 @@ def test_text_inside_a_ros1_message_that_is_needed(tmp_path, write_rosbag1):
 
 
 def test_patching_keeps_lengths_and_places():
-    data = b"\1\2\xe9t\xe9\3\xff"
-    assert ascii_patched(data, b"\xe9t\xe9") == b"\1\2?t?\3\xff"
-    assert ascii_patched(memoryview(data), b"\xe9t\xe9") == b"\1\2?t?\3\xff"
+    # The same bytes stand in the stamp before it.
+    for size in (b"\3\0\0\0", b"\4\0\0\0", b"\0\0\0\4"):
+        data = b"\1\xe9t\xe9" + size + b"\xe9t\xe9\0\3\xff"
+        expected = b"\1\xe9t\xe9" + size + b"?t?\0\3\xff"
+        assert ascii_patched(data, b"\xe9t\xe9") == ascii_patched(memoryview(data), b"\xe9t\xe9") == expected
+    with pytest.raises(ValueError, match="no string of 3 bytes"):
+        ascii_patched(b"\xe9t\xe9", b"\xe9t\xe9")
 
 
 def test_different_names_stay_different():

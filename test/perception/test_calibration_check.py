@@ -222,3 +222,45 @@ def test_the_chain_says_it_of_frames(
     begun = chain.process(again).calibration
     assert begun is not None
     assert begun.views == 1
+
+
+def test_all_poses_of_a_frame_share_as_many_errors() -> None:
+    """Else they could not be fused: also where one of them says nothing of the calibration."""
+    check, rng, wrong = CalibrationCheck(), np.random.default_rng(3), longer(PINHOLE, 0.03)
+    for index in range(12):
+        first = seen(PINHOLE, wrong, pose_at(index, 30), rng)
+        second = replace(seen(PINHOLE, wrong, pose_at(index + 40, 20), rng, 1), calibration=None)
+        targets = check.examined(wrong, [first, second])
+        poses = [target.pose for target in targets]
+        shared = [0 if pose is None or pose.shared is None else pose.shared.shape[1] for pose in poses]
+        assert shared[0] == shared[1]
+        assert len({tuple(np.shape(pose.shared)) for pose in poses if pose is not None}) == 1
+    assert shared[0] > 0
+    assert poses[1] is not None and np.array_equal(poses[1].covariance, second.pose.covariance)
+
+
+def test_a_view_that_cannot_be_weighed_costs_neither_the_frame_nor_the_others() -> None:
+    check, rng, wrong = CalibrationCheck(), np.random.default_rng(4), longer(PINHOLE, 0.03)
+    for index in range(6):
+        check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
+    before = check.finding
+    assert before is not None and before.warning
+    strange = seen(PINHOLE, wrong, pose_at(50, 30), rng)
+    assert strange.calibration is not None
+    huge = replace(strange.calibration, residual=strange.calibration.residual + 1e12)
+    for index in (50, 70):
+        target = replace(seen(PINHOLE, wrong, pose_at(index, 30), rng), calibration=huge)
+        assert check.examined(wrong, [target])[0].pose is not None
+    assert check.finding is before
+    for index in (9, 12):
+        check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
+    assert check.finding is not before and check.finding.warning == before.warning
+
+
+def test_a_new_calibration_is_not_blamed_while_nothing_is_in_view() -> None:
+    check, rng, wrong = CalibrationCheck(), np.random.default_rng(5), longer(PINHOLE, 0.03)
+    for index in range(6):
+        check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
+    assert check.finding is not None and check.finding.warning
+    check.examined(PINHOLE, [TargetResult("target_0", 0, Status.LOST)])
+    assert check.finding is None

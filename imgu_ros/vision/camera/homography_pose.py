@@ -112,9 +112,13 @@ def poses_of_homography(
     if camera is None:
         return poses
     xy = None if src_xy is None else as_points(src_xy, "src_xy")
-    moved = problem.tangent_by_camera(camera, xy)
     if camera.covariance is None:
-        return replace(poses, calibration=problem.calibration(poses.solutions[0], moved))
+        try:
+            moved = problem.tangent_by_camera(camera, xy)
+            return replace(poses, calibration=problem.calibration(poses.solutions[0], moved))
+        except EstimationError:
+            return poses  # a lens that folds at one of the points says nothing of itself there; the pose stands
+    moved = problem.tangent_by_camera(camera, xy)
     tests, factor = [problem.calibration(pose, moved) for pose in poses.solutions], covariance_factor(camera)
     solutions = tuple(
         pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(poses.solutions, tests, strict=True)

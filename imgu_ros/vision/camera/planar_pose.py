@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -107,17 +107,20 @@ def planar_poses(
         raise DegenerateConfiguration(
             "pixels: no pose in front of the camera explains them; need a plane seen from its front"
         )
-    tests = [
-        _calibration_test(plane_xy[valid], pixels[valid], camera, pose.transform, noise_px, among_valid)
-        for pose in poses.solutions
-    ]
-    solutions = poses.solutions
-    if camera.covariance is not None:
-        factor = covariance_factor(camera)
-        solutions = tuple(
-            pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(solutions, tests, strict=True)
-        )
     enough = noise_px is not None or np.count_nonzero(valid) > _HOMOGRAPHY_POINTS
+
+    def tested(pose: Pose) -> CalibrationTest:
+        return _calibration_test(plane_xy[valid], pixels[valid], camera, pose.transform, noise_px, among_valid)
+
+    if camera.covariance is None:
+        try:
+            return replace(poses, calibration=tested(poses.solutions[0]) if enough else None)
+        except EstimationError:
+            return poses  # as in `poses_of_homography`
+    tests, factor = [tested(pose) for pose in poses.solutions], covariance_factor(camera)
+    solutions = tuple(
+        pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(poses.solutions, tests, strict=True)
+    )
     return PlanarPoses(solutions, poses.ambiguity, tests[0] if enough else None)
 
 
