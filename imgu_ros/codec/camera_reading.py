@@ -58,6 +58,12 @@ class CameraDescription:
         x, y, width, height = self.roi
         return x, y, width or self.width - x, height or self.height - y
 
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Return width and height of the image: what binning makes of the window."""
+        _, _, width, height = self.window
+        return width // max(1, self.binning[0]), height // max(1, self.binning[1])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraReading:

@@ -83,6 +83,9 @@ class Stage(ABC):
         if self.reads_camera:
             self.reading = frame_reading(self.parameters)
 
+    def reset(self) -> None:
+        """Forget what earlier frames told: most stages remember nothing."""
+
     def _reading_for(self, parameters: Parameters) -> FrameReading:
         return frame_reading(parameters, self.reading) if self.reads_camera else self.reading
 

@@ -50,6 +50,7 @@ class StageNode(ManagedNode[StageInput]):
         super().__init__(stage.name, stop)
         self._stage = stage
         self._listened = False
+        self._told: set[str] = set()
         self._figures = StageFigures()
         self._images: tuple[TargetImage, ...] = ()
         self._used: Parameters | None = None
@@ -63,7 +64,7 @@ class StageNode(ManagedNode[StageInput]):
         )
         self.create_timer(_WATCH_S, self._watch, clock=self._steady)
         self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
-        if stage.needs_targets:
+        if stage.needs_targets or stage.reads_camera:
             self._create_slow_service("~/reload", self._reload)
         self._remarks = Remarks()
         self._between_frames = threading.RLock()
@@ -85,6 +86,7 @@ class StageNode(ManagedNode[StageInput]):
                 self._outputs.destroy()
                 self._outputs = None
             self._used = None
+            self._stage.reset()
 
     def _begin(self) -> None:
         taken = ", ".join(feed.topic for feed in self._input.topics.feeds)
@@ -116,8 +118,10 @@ class StageNode(ManagedNode[StageInput]):
                 self._outputs.adapt(names, parameters)
             possible = self._outputs.qos_override_names() + self._input.qos_override_names()
             for line in self._server.unknown_qos_overrides(possible):
-                # Six nodes may share a parameter file.
-                self.get_logger().info(f"{line}; an override for another node?", once=True)
+                if line not in self._told:
+                    self._told.add(line)
+                    # Six nodes may share a parameter file.
+                    self.get_logger().info(f"{line}; an override for another node?")
         if self._stage.topics(self, parameters) != self._input.topics:
             self._input.close()
             self._input = self._made_input()
@@ -180,13 +184,21 @@ class StageNode(ManagedNode[StageInput]):
         with self._between_frames:
             if self._outputs is not None:
                 self._outputs.reset()
-        return "paths begin anew; a stage remembers nothing else"
+            self._stage.reset()
+        return "all that earlier frames told is forgotten"
 
     async def _reload(self) -> str:
         parameters = self._server.reload()
-        images = await self._do_beside(lambda: load_target_images(parameters.targets, self._log_warning))
+        needs_targets = self._stage.needs_targets
+        images = (
+            await self._do_beside(lambda: load_target_images(parameters.targets, self._log_warning))
+            if needs_targets
+            else []
+        )
         self._require_configured()  # it may have been cleaned up meanwhile
         self._adopt(parameters, images)
         with self._between_frames:
             self._stage.read_again()
+        if not needs_targets:
+            return f"camera.info_file: {parameters.camera.info_file or 'none'}"
         return "targets: " + (", ".join(image.name for image in images) or "none")

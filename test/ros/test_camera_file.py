@@ -209,4 +209,10 @@ def test_stages_with_a_camera_from_a_file(imgu, world, peer, make_camera, camera
     expected = camera_info_message(make_message, Header(0, frame.frame_id), frame.camera)
     assert list(peer.heard["/cam/reduced/camera_info"][-1].k) == list(expected.k)
     assert not peer.node.count_subscribers("/cam/camera_info")
+    answer = peer.call(Trigger, "/cam/demosaic/reload", Trigger.Request())
+    assert (answer.success, answer.message) == (True, f"camera.info_file: {camera_file}")
+    camera_file.write_text("nothing")
+    answer = peer.call(Trigger, "/cam/demosaic/reload", Trigger.Request())
+    assert not answer.success
+    assert answer.message.startswith(f"camera.info_file: {camera_file}: ")
     assert all("Traceback" not in node.text for node in started)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -266,3 +267,47 @@ def test_stages_say_what_is_odd_about_headers_and_widths() -> None:
     assert "'/eye'; tf2 refuses a leading slash: 'eye' goes out" in said and "are repeated in 1 of 2 images" in said
     (said,) = [line for line in remarks["pose"] if line.startswith("targets.widths_m")]
     assert "did you mean 0.5 (50 cm)" in said
+
+
+def test_nothing_to_say_of_an_image_is_no_remark() -> None:
+    images, frames = sequence(1, 1)
+    six = Six(parameters_from(OFF), images)
+    six.work(frames[0])
+    assert six.stages[0].remarks == ()
+
+
+def test_a_reset_forgets_what_frames_said_of_the_calibration() -> None:
+    images, frames = sequence(1, 1)
+    six = Six(parameters_from(OFF), images)
+
+    def views(calibrated: bool) -> int:
+        result = six.work(frames[0], calibrated=calibrated).result
+        assert result is not None
+        return 0 if result.calibration is None else result.calibration.views
+
+    assert views(calibrated=True) == 1
+    assert views(calibrated=False) == 1
+    for stage in six.stages:
+        stage.reset()
+    assert views(calibrated=False) == 0
+
+
+def test_a_file_of_a_binned_camera_tells_the_size_of_the_image(tmp_path: Path) -> None:
+    images, frames = sequence(1, 1)
+    camera = frames[0].camera
+    assert camera is not None
+    # (x_sensor - 0.5) / 2 = x_image, for two by two pixels made one.
+    sensor = np.array([[2, 0, 0.5], [0, 2, 0.5], [0, 0, 1]]) @ camera.K
+    numbers = ", ".join(f"{value:.17g}" for value in sensor.ravel())
+    path = tmp_path / "binned.yaml"
+    path.write_text(
+        f"width: {2 * camera.width}\nheight: {2 * camera.height}\nk: [{numbers}]\nd: [0, 0, 0, 0, 0]\n"
+        "distortion_model: plumb_bob\nbinning_x: 2\nbinning_y: 2\n"
+    )
+    six = Six(parameters_from({**OFF, "camera.info_file": str(path)}), images)
+    six.work(frames[0], without=("image_mono",), calibrated=False)
+    assert six.located.result is not None
+    read = six.located.result.frame.camera
+    assert read is not None, six.located.result.frame.camera_reason
+    assert (read.width, read.height) == (camera.width, camera.height)
+    assert_allclose(read.K, camera.K, atol=1e-9)

@@ -183,9 +183,11 @@ def corners(H: np.ndarray) -> np.ndarray:
 
 def test_a_stage_says_what_it_lacks_and_obeys_its_services(imgu, world, peer, prompt_s):
     foreign = "qos_overrides./image_color.publisher.depth"
-    node = imgu("node", "matcher", *world.arguments, "-p", f"{foreign}:=3")
+    other = "qos_overrides./debug_image.publisher.depth"
+    node = imgu("node", "matcher", *world.arguments, "-p", f"{foreign}:=3", "-p", f"{other}:=3")
     node.wait_for_line("matcher: takes /keypoints")
     node.wait_for_line(f"{foreign}: unknown parameter")
+    node.wait_for_line(f"{other}: unknown parameter")
     node.wait_for_line("an override for another node?")
     peer.hear("/diagnostics", DIAGNOSTICS)
     peer.hear("/matches", CLOUD)

@@ -66,7 +66,8 @@ class DemosaicStage(Stage):
             self._headers.add_camera_info(job.camera_info)
         self.remarks = tuple(self._headers.told(p.frames.camera, lately=True).values())
         frame = self.reading.frame(job.messages[_IN], job.camera_info)
-        self.remarks += (frame.image.remark,)
+        if frame.image.remark:
+            self.remarks += (frame.image.remark,)
         development = develop_frame(frame, p)
         if development.developed is None:
             raise ImguError(development.reason)

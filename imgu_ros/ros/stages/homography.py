@@ -130,7 +130,7 @@ class HomographyStage(TargetStage):
             size = image_size(job.camera_info)
             width, height = size.width, size.height
         elif self.reading.file_camera is not None:
-            _, _, width, height = self.reading.file_camera.window
+            width, height = self.reading.file_camera.image_size
         else:
             raise ImguError("frame: neither image_mono nor camera_info; need one of them, or camera.info_file")
         read = self.reading.camera(job.camera_info, (width, height))

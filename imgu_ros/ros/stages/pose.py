@@ -66,6 +66,12 @@ class PoseStage(TargetStage):
     def _prepare(self, parameters: Parameters, parts: Parts) -> None:
         self._sizes = SizeChecks(self.targets)
 
+    def reset(self) -> None:
+        """See `Stage.reset`."""
+        self._check.reset()
+        self._last_ns = None
+        self._sizes = SizeChecks(self.targets)
+
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         homography = cloud_feed(node, _HOMOGRAPHY)
