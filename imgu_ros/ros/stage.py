@@ -83,7 +83,7 @@ class Stage(ABC):
         if self.reads_camera:
             self.reading = frame_reading(self.parameters)
 
-    def reset(self) -> None:
+    def reset(self) -> None:  # noqa: B027
         """Forget what earlier frames told: most stages remember nothing."""
 
     def _reading_for(self, parameters: Parameters) -> FrameReading:
