@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--length-frames", type=int, default=2000, metavar="N", help="frames of the suite `length` (default 2000)")
     add("--out", type=Path, metavar="DIR", help=f"write {JSON}, {TABLE} and {PLOT} into DIR")
     add("--markdown", action="store_true", help="print the tables as Markdown")
-    add_parameter_options(parser, without=("camera.info_file", "raw.encoding"))
+    add_parameter_options(parser, without=("camera.info_file", "camera.covariance", "camera.rectified", "raw.encoding"))
     # fmt: on
 
 

@@ -205,7 +205,8 @@ def _yaml_content(text: str, source: str) -> Mapping[str, Any]:
         mark = error.problem_mark or error.context_mark
         where = "" if mark is None else f" in line {mark.line + 1}"
         raise FileError(f"{source}: no YAML{where} ({error.problem}); {_WANTED}") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    # PyYAML raises others for a value that is not what its tag says: `!!int ""`.
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError) as error:
         raise FileError(f"{source}: {' '.join(str(error).split())[:200]}; {_WANTED}") from None
     if not isinstance(content, dict):
         held = {str: "plain text or XML", type(None): "nothing"}.get(type(content), type(content).__name__)
@@ -223,7 +224,7 @@ def _numbers(entry: Any, name: str, source: str, most: int = _MOST_NUMBERS) -> t
         raise FileError(f"{source}: {name}: {len(flat)} values; need those of one camera")
     try:
         return tuple(_number(value) for value in flat)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise FileError(f"{source}: {name}: {str(data)[:80]}; need numbers") from None
 
 
@@ -242,7 +243,7 @@ def _whole(value: Any, name: str, source: str) -> int:
         return 0
     try:
         number = _number(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not (math.isfinite(number) and number == int(number) and number >= 0):
         raise FileError(f"{source}: {name}: {value!r}; need a whole number of pixels")

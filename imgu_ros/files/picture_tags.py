@@ -131,7 +131,7 @@ def _fields(content: bytes) -> Iterator[_Field]:
             if kind in _INTEGERS and values * struct.calcsize(order + _INTEGERS[kind]) <= size - value_at:
                 form = order + _INTEGERS[kind]
                 yield _Field(tag, struct.unpack_from(form, content, position + value_at)[0], position + value_at, form)
-    except struct.error:
+    except (struct.error, OverflowError):  # the latter where a BigTIFF gives a place beyond all files
         return  # cut: what was read so far counts
 
 

@@ -60,6 +60,7 @@ def test_photographs_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[s
         (["--conditions", "blur"], 1, "nearest known: blur-"),
         (["--methods", "surf"], 1, "need one of tracking"),
         (["-p", "no.such:=1"], 1, "unknown parameter"),
+        (["-p", "camera.rectified:=true"], 1, "camera.rectified"),
     ],
 )
 def test_wrong_options(options: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -450,3 +452,20 @@ def test_shared_messages(data_dir):
         read = read_camera(changed, rectified=False, image_size=(640, 480))
         bent = read.camera is not None and read.camera.is_distorted
         assert (read.camera is None, bent) == (outcome == "homography", outcome == "computed"), (model, D, read.reason)
+
+
+@pytest.mark.parametrize(
+    "value",
+    ['!!int ""', "!!bool x", "!!timestamp x", "1" * 310, "[1, 2]", "{a: 1}"],
+)
+def test_values_that_are_no_numbers_are_a_file_error(tmp_path, value):
+    """Also where PyYAML, or float(), raises what is no YAML error."""
+    path = tmp_path / "camera.yaml"
+    for key in ("image_width: 640", "image_height: 480"):
+        assert key in ROS
+        path.write_text(ROS.replace(key, f"{key.partition(':')[0]}: {value}"))
+        with pytest.raises(FileError, match=re.escape(str(path))):
+            read_camera_info(path)
+    path.write_text(re.sub(r"data: \[[^\]]*\]", f"data: [{value}, 1, 1, 1, 1, 1, 1, 1, 1]", ROS))
+    with pytest.raises(FileError, match=re.escape(str(path))):
+        read_camera_info(path)

@@ -184,7 +184,8 @@ def test_damaged_tags_never_raise(name, position, damage):
 
 
 def test_what_is_no_picture_has_no_tags():
-    for content in (b"", b"P5 1 1 255\n0", b"II*\0", b"RIFF", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"):
+    beyond = b"II+\0\x08\0\0\0" + 8 * b"\xff"  # a BigTIFF whose directory lies beyond all files
+    for content in (b"", beyond, b"P5 1 1 255\n0", b"II*\0", b"RIFF", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"):
         assert picture_tags(content) == PictureTags()
 
 
