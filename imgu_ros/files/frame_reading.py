@@ -62,7 +62,7 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
     Parameters
     ----------
     parameters : all parameters
-    before : returned, and no file read, when the parameters still say the same
+    before : no file is read when `camera.info_file` is still the same; returned when the parameters still say the same
 
     Raises
     ------
@@ -77,14 +77,23 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
     check_encoding(wanted.encoding)
     if not wanted.info_file:
         return wanted
-    try:
-        description = read_description(expanded_path(wanted.info_file))
-    except FileError as error:
-        raise FileError(f"camera.info_file: {error}") from None
+    if before is not None and before.file_camera is not None and before.info_file == wanted.info_file:
+        description = before.file_camera
+    else:
+        description = _described(wanted.info_file)
     alone = read_camera(description, rectified=wanted.rectified, image_size=None, covariance=wanted.covariance)
     if alone.camera is None:
         raise FileError(f"camera.info_file: {alone.reason}")
     return replace(wanted, file_camera=description)
+
+
+def check_change(parameters: Parameters, before: Parameters) -> None:
+    """Raise what `frame_reading` would; another encoding alone has nothing to do with the camera's file."""
+    wanted, was = as_read(parameters), as_read(before)
+    if wanted == replace(was, encoding=wanted.encoding):
+        check_encoding(wanted.encoding)
+    else:
+        frame_reading(parameters)
 
 
 def as_read(parameters: Parameters) -> FrameReading:
@@ -101,3 +110,10 @@ def check_encoding(name: str) -> None:
         raise ParameterError(
             f"raw.encoding: {name[:40]!r} is unknown{nearest}; need one of {', '.join(encoding_names())}"
         )
+
+
+def _described(info_file: str) -> CameraDescription:
+    try:
+        return read_description(expanded_path(info_file))
+    except FileError as error:
+        raise FileError(f"camera.info_file: {error}") from None

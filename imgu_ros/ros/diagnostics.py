@@ -207,7 +207,8 @@ def _camera(name: str, found: Sequence[Cause], worker: Worker) -> HealthEntry:
     last = worker.last
     if last is None:
         return HealthEntry(name, Level.OK, "no frame yet", {})
-    reason = "; ".join(cause.text for cause in found if cause.kind in _OF_CAMERA)
+    of_camera = [cause.text for cause in found if cause.kind in _OF_CAMERA]
+    reason = "; ".join((*filter(None, [worker.reading_problem]), *of_camera))
     camera = last.frame.camera
     if camera is None:
         said = last.frame.camera_reason or "no camera_info"

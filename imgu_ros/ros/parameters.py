@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -16,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.files.frame_reading import as_read, frame_reading
+from imgu_ros.files.frame_reading import check_change
 from imgu_ros.nearest_name import nearest_name
 from imgu_ros.parameter_values import checked_value, is_empty_group, parameters_from, value_or_empty
 from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
@@ -83,8 +84,24 @@ class ParameterServer:
         with self._lock:
             return self._live
 
-    def reload(self) -> Parameters:
+    def staged(self) -> Parameters:
+        """Return the values that `reload` puts in force.
+
+        Raises
+        ------
+        ParameterError
+            If they do not fit together.
+        """
+        with self._lock:
+            return parameters_from(self._values)
+
+    def reload(self, loaded: Parameters | None = None) -> Parameters:
         """Put the values of `targets` that were set since the start in force and return all.
+
+        Parameters
+        ----------
+        loaded : what `staged` gave, where it took long to load: its `targets` come in force, and not later ones; None:
+            the newest
 
         Raises
         ------
@@ -92,7 +109,12 @@ class ParameterServer:
             If they do not fit together; then the old ones stay.
         """
         with self._lock:
-            self._live = parameters_from(self._values)
+            newest = parameters_from(self._values)
+            if loaded is None:
+                self._live = newest
+            else:
+                now = replace(newest, targets=loaded.targets)
+                self._live = loaded if now == loaded else now
             return self._live
 
     def set_atomically(
@@ -155,7 +177,7 @@ class ParameterServer:
             # Staged values may come one by one; those that come in one call are meant to fit.
             if len(staged) > 1:
                 parameters_from(_split(self._values)[1] | staged, together)
-            frame_reading(together, as_read(self._live))
+            check_change(together, self._live)
         except ImguError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -127,7 +127,9 @@ class PerceptionNode(ManagedNode[ImageInput]):
             except ImguError as error:
                 self._log_failure(f"parameters: {error}")
                 return
-        self._input.expect_camera_info(not self._server.parameters.camera.info_file)
+        wanted = self._server.parameters.camera.info_file
+        # A file that has vanished since it was named: frames are read as before.
+        self._input.expect_camera_info(not (self._worker.info_file if self._worker.reading_problem else wanted))
         if self._lifecycle == "active" and not self._paused and self._outputs.wanted():
             self._input.open()
             self._input.check_waiting()
@@ -192,10 +194,15 @@ class PerceptionNode(ManagedNode[ImageInput]):
         return "all tracks and paths forgotten"
 
     async def _reload(self) -> str:
-        parameters = self._server.reload()
-        reading = frame_reading(parameters)  # the file may have changed
-        await self._adopt_soon(lambda: self._worker.build(load_target_images(parameters.targets, self._log_warning)))
-        self._worker.read_with(reading, parameters)
+        staged = self._server.staged()
+        reading = frame_reading(staged)  # the file may have changed
+        built = await self._do_beside(
+            lambda: self._worker.build(load_target_images(staged.targets, self._log_warning), staged)
+        )
+        self._require_configured()  # it may have been cleaned up meanwhile
+        self._server.reload(staged)
+        self._adopt(built)
+        self._worker.read_with(reading, staged)
         return "targets: " + (", ".join(target.name for target in self._worker.targets) or "none")
 
     async def _set_target_from_view(self) -> str:

@@ -78,10 +78,10 @@ class Stage(ABC):
         self.reading = self._reading_for(parameters)
         self.parameters = parameters
 
-    def read_again(self) -> None:
+    def read_again(self, parameters: Parameters) -> None:
         """Read the camera's file anew; FileError when that cannot be: the old one stays."""
         if self.reads_camera:
-            self.reading = frame_reading(self.parameters)
+            self.reading = frame_reading(parameters)
 
     def reset(self) -> None:  # noqa: B027
         """Forget what earlier frames told: most stages remember nothing."""

@@ -188,7 +188,7 @@ class StageNode(ManagedNode[StageInput]):
         return "all that earlier frames told is forgotten"
 
     async def _reload(self) -> str:
-        parameters = self._server.reload()
+        parameters = self._server.staged()
         needs_targets = self._stage.needs_targets
         images = (
             await self._do_beside(lambda: load_target_images(parameters.targets, self._log_warning))
@@ -196,9 +196,10 @@ class StageNode(ManagedNode[StageInput]):
             else []
         )
         self._require_configured()  # it may have been cleaned up meanwhile
-        self._adopt(parameters, images)
         with self._between_frames:
-            self._stage.read_again()
+            self._stage.read_again(parameters)
+            self._adopt(parameters, images)
+            self._server.reload(parameters)
         if not needs_targets:
             return f"camera.info_file: {parameters.camera.info_file or 'none'}"
         return "targets: " + (", ".join(image.name for image in images) or "none")

@@ -28,6 +28,8 @@ from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 #: The worker waits for no longer than this for somebody who wants to come between two frames.
 _LONGEST_HOLD_S = 0.3
+#: A calibration file that has vanished is looked for so often.
+_AGAIN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +117,9 @@ class Worker:
         self._built: Built | None = None
         self._reading = FrameReading()
         self._read_for: Parameters | None = None
+        self._reading_problem = ""
+        self._unread: Parameters | None = None
+        self._read_again_s = 0.0
         self._rebuilder = Rebuilder(handlers.failed)
         self._last: Result | None = None
         self._rejected = 0
@@ -161,20 +166,30 @@ class Worker:
         """The calibration file that counts instead of camera_info; empty: none."""
         return self._reading.info_file
 
-    def build(self, images: Sequence[TargetImage]) -> Built:
-        """Return a chain for these targets, with the parameters in force; frames go on meanwhile.
+    @property
+    def reading_problem(self) -> str:
+        """Why frames are not read as the parameters in force say; empty when they are."""
+        return self._reading_problem
+
+    def build(self, images: Sequence[TargetImage], parameters: Parameters | None = None) -> Built:
+        """Return a chain for these targets; frames go on meanwhile.
+
+        Parameters
+        ----------
+        images : what is looked for
+        parameters : None: those in force
 
         Raises
         ------
         ImguError
             If an image cannot serve as a target.
         """
-        return build(images, self._parameters(), self._built)
+        return build(images, self._parameters() if parameters is None else parameters, self._built)
 
     def read_with(self, reading: FrameReading, parameters: Parameters) -> None:
         """Read frames so from the next one on, as long as these parameters are in force."""
         with self._lock:
-            self._reading, self._read_for = reading, parameters
+            self._reading, self._read_for, self._reading_problem = reading, parameters, ""
 
     def use(self, built: Built) -> None:
         """Go on with this chain from the next frame on; tracks of targets that stay the same go on."""
@@ -290,13 +305,15 @@ class Worker:
     def _follow_reading(self) -> None:
         """Read this frame already as the parameters say: a camera or an encoding needs no other chain."""
         parameters = self._parameters()
-        if parameters is self._read_for:
+        now = time.monotonic()
+        if parameters is self._read_for or (parameters is self._unread and now < self._read_again_s):
             return
-        self._read_for = parameters
         try:
-            self._reading = frame_reading(parameters, self._reading)
+            self.read_with(frame_reading(parameters, self._reading), parameters)
         except ImguError as error:  # it was read when the parameter was set, and is gone since
-            self._handlers.failed(f"parameters: {error}; frames are read as before")
+            self._reading_problem = f"parameters: {error}; frames are read as before"
+            self._unread, self._read_again_s = parameters, now + _AGAIN_S
+            self._handlers.failed(self._reading_problem)
 
     def _rejected_result(self, header: Header, reason: str) -> Result:
         frame = Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, None)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
@@ -15,10 +16,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.errors import ParameterError
+from imgu_ros.files.camera_info_file import camera_info_text
+from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.parameter_values import parameter_values, parameters_from
 from imgu_ros.params import Declaration, Parameters, declarations
 from imgu_ros.ros.parameters import ParameterServer
+from imgu_ros.vision.camera.intrinsics import make_camera as camera_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -169,6 +173,36 @@ def test_targets_wait_for_reload(make_node):
     assert node.server.reload().targets.widths_m == (0.5, 0.0)
     assert node.set(seed=3).successful
     assert node.server.parameters.targets.images == ("a.png", "b.png")
+
+
+def test_what_is_staged_comes_in_force_as_it_was_loaded(make_node):
+    node = make_node()
+    assert node.set(targets__images=["a.png"]).successful
+    assert node.set(targets__widths_m=[0.5]).successful
+    staged = node.server.staged()
+    assert staged.targets.images == ("a.png",)
+    assert node.server.parameters == Parameters(), "nothing is in force until it is loaded"
+    assert node.set(seed=3, targets__widths_m=[0.7]).successful
+    node.server.reload(staged)
+    assert (node.server.parameters.seed, node.server.parameters.targets.widths_m) == (3, (0.5,))
+    staged = node.server.staged()
+    assert node.server.reload(staged) is staged
+    assert staged.targets.widths_m == (0.7,)
+
+
+def test_an_encoding_is_set_although_the_camera_file_has_vanished(make_node, tmp_path):
+    file = tmp_path / "camera.yaml"
+    file.write_text(camera_info_text(camera_of(np.array([[500.0, 0, 240], [0, 500, 180], [0, 0, 1]]), (),
+                                               "plumb_bob", 480, 360)))  # fmt: skip
+    node = make_node()
+    assert node.set(camera__info_file=str(file)).successful
+    before = frame_reading(node.server.parameters)
+    file.unlink()
+    assert node.set(raw__encoding="bayer_rggb8").successful
+    reading = frame_reading(node.server.parameters, before)
+    assert (reading.encoding, reading.file_camera) == ("bayer_rggb8", before.file_camera)
+    assert "bayer_rggb8" in node.set(raw__encoding="bayer_rgbg8").reason
+    assert "camera.yaml" in node.set(camera__rectified=True).reason
 
 
 def test_qos_overrides_of_unknown_topics_are_named(make_node, tmp_path):

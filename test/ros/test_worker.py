@@ -6,6 +6,7 @@ import threading
 import time
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,11 +16,13 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
+from imgu_ros.files.camera_info_file import camera_info_text
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.perception import target_features
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status
 from imgu_ros.perception.targets import TargetImage
+from imgu_ros.ros import worker as worker_module
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.newest import NewestSlot
@@ -131,3 +134,25 @@ def test_a_reload_describes_all_anew_and_a_cleanup_forgets_all(
         assert running.work(frames[2]).targets[0].status is Status.DETECTED
     finally:
         assert worker.close(5.0)
+
+
+def test_a_camera_file_that_has_vanished_is_said_and_read_when_it_is_there(
+    images: tuple[TargetImage, ...], frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_module, "_AGAIN_S", 0.0)
+    running = Running(images)
+    try:
+        path = tmp_path / "camera.yaml"
+        running.parameters = parameters_from({"camera.info_file": str(path)}, running.parameters)
+        for frame in frames[:2]:
+            assert running.work(frame).targets[0].pose is not None, "camera_info counts as before"
+        assert "camera.yaml" in running.worker.reading_problem
+        assert len(running.failures) == 2
+        assert running.worker.info_file == ""
+        assert frames[0].camera is not None
+        path.write_text(camera_info_text(frames[0].camera))
+        running.work(frames[2])
+        assert (running.worker.info_file, running.worker.reading_problem) == (str(path), "")
+        assert len(running.failures) == 2
+    finally:
+        assert running.worker.close(5.0)
