@@ -46,6 +46,7 @@ HOMOGRAPHY_DTYPE = np.dtype(
         ("n_inliers", "i4"),
         ("rms_px", "f4"),
         ("calibrated", "u1"),
+        ("sharp", "u1"),
     ],
     align=True,
 )
@@ -160,13 +161,14 @@ def homographies_message(
         row["n_inliers"] = np.count_nonzero(estimate.inliers)
         row["rms_px"] = estimate.rms_px
         row["calibrated"] = calibrated
+        row["sharp"] = target.is_sharp
     return point_cloud_message(make, header, table)
 
 
 def decode_homographies(message: Any) -> Table:
     """Read what `homographies_message` writes, a table with the columns of `HOMOGRAPHY_DTYPE`.
 
-    `calibrated` may be missing.
+    `calibrated` and `sharp` may be missing.
     """
     table = decode_point_cloud(message)
     _require(table, _HOMOGRAPHY_NEEDS)
@@ -177,6 +179,14 @@ def decode_calibrated(message: Any) -> bool:
     """Return whether the homographies are those of a calibrated camera, as far as `homographies_message` says so."""
     table = decode_homographies(message)
     return "calibrated" not in (table.dtype.names or ()) or bool(np.all(table["calibrated"]))
+
+
+def decode_sharp(message: Any) -> set[int]:
+    """Return the targets of which `homographies_message` says that their points were seen at full resolution."""
+    table = decode_homographies(message)
+    if "sharp" not in (table.dtype.names or ()):
+        return set()
+    return {int(index) for index in table["target"][_column(table, "sharp") != 0]}
 
 
 def decode_estimates(message: Any, inliers: Mapping[int, int]) -> dict[int, HomographyEstimate]:

@@ -74,7 +74,7 @@ def posed(
     lens = bending(camera)
     if lens is not None:
         outline = lens.raw_pixels(outline)
-    seen = partial(replace, found, homography=homography, outline=outline)
+    seen = partial(replace, found, homography=homography, outline=outline, is_sharp=located.halvings == 0)
     if camera is None:
         return seen(pose_status=PoseStatus.UNCALIBRATED, reason=camera_reason or NO_CAMERA_INFO)
     if target.width_m == 0:
@@ -102,7 +102,6 @@ def posed(
         solutions=poses.solutions,
         ambiguity=poses.ambiguity,
         calibration=None if is_ambiguous else poses.calibration,
-        is_sharp=located.halvings == 0,
     )
 
 

@@ -15,6 +15,7 @@ from imgu_ros.codec.features import (
     MATCH_DTYPE,
     decode_estimates,
     decode_keypoints,
+    decode_sharp,
     decode_target_matches,
     homographies_message,
     keypoints_message,
@@ -102,6 +103,18 @@ def test_homographies_arrive_as_they_were(seed):
         0,
         2,
     ]
+
+
+def test_of_homographies_that_say_nothing_of_it_none_is_sharp():
+    estimate = HomographyEstimate(np.eye(3), np.eye(9), np.ones(4, bool), 0.5, 7)
+    results = [
+        TargetResult(f"t{index}", index, Status.DETECTED, homography=estimate, is_sharp=index == 1)
+        for index in range(3)
+    ]
+    message = homographies_message(make_message, HEADER, results, calibrated=True)
+    assert decode_sharp(message) == {1}
+    message.fields = [field for field in message.fields if field.name != "sharp"]
+    assert decode_sharp(message) == set()
 
 
 def homography_table(**changes):

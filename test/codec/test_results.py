@@ -144,7 +144,7 @@ def test_homographies_of_targets_that_were_seen(make, result):
     fields = [(f.name, f.offset, f.datatype, f.count) for f in message.fields]
     assert fields == [
         ("target", 0, 5, 1), ("h", 8, 8, 9), ("covariance", 80, 8, 81), ("n_inliers", 728, 5, 1), ("rms_px", 732, 7, 1),
-        ("calibrated", 736, 2, 1),
+        ("calibrated", 736, 2, 1), ("sharp", 737, 2, 1),
     ]  # fmt: skip
     first = result.targets[0].homography
     row = struct.pack("<i4x90dif", 0, *first.H.ravel(), *first.covariance.ravel(), 3, 0.375)

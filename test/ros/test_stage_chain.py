@@ -21,7 +21,7 @@ from imgu_ros.codec.results import FRAME_OUTPUTS, level_message
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.parameter_values import parameters_from
 from imgu_ros.params import Parameters
-from imgu_ros.perception import target_features
+from imgu_ros.perception import locating, target_features
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result, Status
@@ -278,7 +278,7 @@ def test_nothing_to_say_of_an_image_is_no_remark() -> None:
 
 def test_a_reset_forgets_what_frames_said_of_the_calibration() -> None:
     images, frames = sequence(1, 1)
-    six = Six(parameters_from(OFF), images)
+    six = Six(parameters_from({**OFF, "refinement.enabled": True}), images)
 
     def views(calibrated: bool) -> int:
         result = six.work(frames[0], calibrated=calibrated).result
@@ -290,6 +290,16 @@ def test_a_reset_forgets_what_frames_said_of_the_calibration() -> None:
     for stage in six.stages:
         stage.reset()
     assert views(calibrated=False) == 0
+
+
+def test_what_patches_do_not_confirm_says_nothing_of_the_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(locating, "_aligned", lambda *_: None)
+    images, frames = sequence(1, 1)
+    told = Six(parameters_from({**OFF, "refinement.enabled": True}), images).work(frames[0]).result
+    assert told is not None
+    assert told.targets[0].pose is not None
+    assert not told.targets[0].is_sharp
+    assert told.calibration is None or told.calibration.views == 0
 
 
 def test_a_file_of_a_binned_camera_tells_the_size_of_the_image(tmp_path: Path) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 from rclpy.node import Node
 
 from imgu_ros.codec.camera_reading import CameraReading
-from imgu_ros.codec.features import decode_calibrated, decode_estimates, decode_target_matches
+from imgu_ros.codec.features import decode_calibrated, decode_estimates, decode_sharp, decode_target_matches
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.results import result_status_message
 from imgu_ros.errors import EstimationError
@@ -83,6 +83,7 @@ class PoseStage(TargetStage):
         agreeing = decode_target_matches(job.messages[INLIERS])
         counts = {index: len(matches.template_xy) for index, matches in agreeing.items()}
         estimates = decode_estimates(job.messages[_HOMOGRAPHY], counts)
+        sharp = decode_sharp(job.messages[_HOMOGRAPHY])
         # The image's size is known where the picture is: the homographies say whether camera_info fits it.
         read = self.reading.camera(job.camera_info, None)
         if read.camera is not None and not decode_calibrated(job.messages[_HOMOGRAPHY]):
@@ -90,7 +91,7 @@ class PoseStage(TargetStage):
         if self._last_ns is not None and header.stamp_ns < self._last_ns - JUMP_NS:
             self._check.reset()
         self._last_ns = header.stamp_ns
-        targets = tuple(self._posed(index, estimates, agreeing, read) for index in range(len(self.targets)))
+        targets = tuple(self._posed(index, estimates, agreeing, sharp, read) for index in range(len(self.targets)))
         targets = self._check.examined(read.camera, targets)
         result = Result(frame_without_image(header, read), targets, calibration=self._check.finding)
         self._sizes.add(result)
@@ -103,13 +104,14 @@ class PoseStage(TargetStage):
         index: int,
         estimates: Mapping[int, HomographyEstimate],
         agreeing: Mapping[int, TargetMatches],
+        sharp: Set[int],
         read: CameraReading,
     ) -> TargetResult:
         target = self.targets[index]
         if index not in estimates:
             return TargetResult(target.name, index, Status.LOST, reason=no_homography())
         matches = agreeing[index]
-        place = Located(matches.template_xy, matches.image_xy, estimates[index])
+        place = Located(matches.template_xy, matches.image_xy, estimates[index], halvings=int(index not in sharp))
         found = TargetResult(target.name, index, Status.DETECTED, matches=matches)
         try:
             return posed(found, target, place, read.camera, self.parameters, read.reason)
