@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The package for pip and for colcon (ament_python). Name, version and description come from package.xml."""
 
 from pathlib import Path

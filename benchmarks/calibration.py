@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration: how honest its uncertainty is, and its residual on real pictures beside OpenCV's calibrateCamera.
 
 python benchmarks/calibration.py [--sets 50] [--data ../shared/data] [--json FILE]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Wrong calibrations: are they found, and do poses stay inside their ellipsoids? Simulated frames of several prints.
 
     python benchmarks/calibration_misfit.py --json benchmarks/figures/calibration_misfit.json

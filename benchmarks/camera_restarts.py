@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How soon poses resume when a camera is killed and started again, with another resolution or encoding each time.
 
     python benchmarks/camera_restarts.py --times 20 --out restarts.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every valid combination of the chain's methods, and every change of one word from the default.
 
     python benchmarks/combinations.py --quick --markdown docs/one-word-changes.md

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Is the pose's covariance honest? Independent simulated frames in nine bins of distance and tilt.
 
     python benchmarks/covariance.py --frames 200 --json benchmarks/covariance.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Demosaicking: quality on photographs and time for each Mpixel, ours beside OpenCV and colour-demosaicing, in one run.
 
     pip install imgu_ros[bench]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Matching a frame's descriptors to a target's: time, ours beside cv2.BFMatcher, with the same tests in one run.
 
     python benchmarks/descriptor_matching.py [--json FILE]

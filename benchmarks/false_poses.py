@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Is anything found that is not there? Photographs, their warps, look-alikes; the known target is never in view.
 
     python benchmarks/false_poses.py --data ../shared/data --frames 10000 --json false_poses.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replay the same simulated scene from bags of every kind, and compare found frames and accuracy with 8-bit RGGB's.
 
     python benchmarks/formats.py --frames 60 --size 1280x720 --out formats.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time of Gaussian smoothing against sigma: recursive, sampled and discrete kernels on the same picture, in one run.
 
     python benchmarks/gaussian.py --json gaussian.json

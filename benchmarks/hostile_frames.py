@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames made to break a node, over the wire: it lives, says why it rejects them, and the next good one gives a pose.
 
     python benchmarks/hostile_frames.py --messages 10000 --out hostile.json

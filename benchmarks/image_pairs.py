@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Homographies of real image pairs: `imgu match` beside SIFT + MAGSAC++ on the same files, in one run.
 
     python benchmarks/image_pairs.py --data ../shared/data --out image_pairs.json

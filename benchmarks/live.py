@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the live path: a player, the node `perception` and a listener, three processes on this machine.
 
     python benchmarks/live.py --size 1920x1080 --rate 15 --seconds 60 --out live.json

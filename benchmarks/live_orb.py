@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the live node beside the node that people write today, on the same topic at the same time.
 
     python benchmarks/live_orb.py --size 1280x720 --rate 15 --seconds 30 --out live_orb.json

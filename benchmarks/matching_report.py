@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Matching of real pictures by every kind of descriptor, ours beside OpenCV's.
 
     python benchmarks/matching_report.py --data ../shared/data --markdown docs/matching.md --json matching.json

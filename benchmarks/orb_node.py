@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node that people write today: rclpy, and OpenCV's ORB, brute force, MAGSAC++ and planar PnP in its callback.
 
     python benchmarks/orb_node.py poster.png 0.5 --ros-args -r image_raw:=/camera/image_raw

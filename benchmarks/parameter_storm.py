@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random parameters, right and wrong, set many times a second while frames flow: nothing is lost, nothing breaks.
 
     python benchmarks/parameter_storm.py --seconds 30 --sets 200 --out storm.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repeatability of the keypoint detectors on real pictures, ours beside OpenCV's, and their time and memory.
 
     python benchmarks/repeatability.py --data ../shared/data --markdown docs/repeatability.md --json repeatability.json

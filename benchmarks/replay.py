@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure `imgu replay`: the whole command over a long bag, its speed and its memory.
 
     python benchmarks/replay.py --size 1920x1080 --frames 3000 --dir /some/disk --out replay.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robust homographies from real tentative matches: ours beside OpenCV's estimators on the same matches, in one run.
 
     python benchmarks/robust_homography.py --data ../shared/data --json robust_homography.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the live node over hours of frames, as fast as it goes: its memory and its latency must stay what they were.
 
     python benchmarks/soak.py --frames 108000 --out soak.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the pictures of the README: python docs/make_pictures.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the reference of the vision library: python docs/make_reference.py [--pictures].
 
 A page for each chapter of imgu_ros/vision, built from the docstrings: the chapter's own at its head, its picture, the

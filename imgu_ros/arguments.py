@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of arguments that are no arrays: numbers, seeds, lists, objects."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The errors of the package: one base, one class for each kind of cause.
 
 A message gives the name of the thing, what was got, and what is needed, on one line.

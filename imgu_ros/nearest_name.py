@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The known name that a misspelled one probably means; for error messages."""
 
 from __future__ import annotations

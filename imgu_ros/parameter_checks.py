@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which parameters make sense together, and why the others do not.
 
 A value by itself is checked where it is read (`parameter_values.checked_value`); here are the values that depend on

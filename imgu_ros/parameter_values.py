@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values of parameters: from what people give to checked `Parameters`, and back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter of the package, declared once.
 
 ROS descriptors, parameter files, `imgu params`, `--help` and the reference page are derived from these dataclasses.
@@ -360,6 +361,47 @@ class PoseParameters:
 
 
 @dataclass(frozen=True, slots=True)
+class LimitsParameters:
+    """What reading may cost, whatever a file or a message claims; the defaults suit a machine with 8 GB.
+
+    Every decoder takes this group. A refusal names the limit: "needs 6144 MB; need at most 1000 (limits.picture_mb)".
+    """
+
+    picture_mb: int = parameter(
+        1000, "Memory that the decoding of one picture may take.", unit="MB", minimum=1, maximum=1_000_000
+    )
+    picture_megapixels: int = parameter(
+        500,
+        "Pixels that the decoding of one picture may go over, every scan of a progressive JPEG counted.",
+        unit="10^6 px",
+        minimum=1,
+        maximum=1_000_000,
+    )
+    message_mb: int = parameter(
+        256, "Size of one message and of one chunk of a bag, decompressed.", unit="MB", minimum=1, maximum=1_000_000
+    )
+    temporary_mb: int = parameter(
+        50_000,
+        "Size of the temporary copies of a bag's compressed files, together; what the disk has free bounds it too.",
+        unit="MB",
+        minimum=1,
+        maximum=1_000_000_000,
+    )
+    expansion: int = parameter(
+        1000,
+        "Bytes that a compressed byte may become, beyond the first 64 MB of a bag's file.",
+        minimum=1,
+        maximum=1_000_000,
+    )
+    schema_fields: int = parameter(
+        10_000, "Fields of a message type's definition, with all that it contains.", minimum=1, maximum=10_000_000
+    )
+    text_mb: int = parameter(
+        4, "Size of a YAML file, its aliases counted as often as they are used.", unit="MB", minimum=1, maximum=10_000
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Parameters:
     """All parameters. The defaults serve most people: set `targets.images` and `targets.widths_m`."""
 
@@ -400,6 +442,7 @@ class Parameters:
     refinement: RefinementParameters = field(default_factory=RefinementParameters)
     tracking: TrackingParameters = field(default_factory=TrackingParameters)
     pose: PoseParameters = field(default_factory=PoseParameters)
+    limits: LimitsParameters = field(default_factory=LimitsParameters)
 
 
 _TYPE_NAMES: dict[Any, str] = {

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How threads share the processors while frames are read, worked on and written at once."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Array aliases, and the checks and conversions that every public function of `vision/` starts with."""
 
 from __future__ import annotations

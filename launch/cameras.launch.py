@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Several cameras, a perception node for each in the camera's namespace.
 
     ros2 launch imgu_ros cameras.launch.py cameras:=left,right target:=/path/to/poster.png width_m:=0.42

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start the perception node beside a camera.
 
     ros2 launch imgu_ros perception.launch.py image:=/camera/image_raw target:=/path/to/poster.png width_m:=0.42

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Play a bag through the perception node, by the bag's own time.
 
     ros2 launch imgu_ros replay.launch.py bag:=/path/to/bag image:=/camera/image_raw target:=poster.png width_m:=0.42

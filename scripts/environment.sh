@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Virtual environments for the scripts; sourced by them, not run. Bash.
 #
 #   make_environment FOLDER CONSTRAINTS EXTRAS [VERSION...]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all tests share: real data, DDS domains, hypothesis profiles, and the line that says what was skipped."""
 
 from __future__ import annotations

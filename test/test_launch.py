@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The launch files, and what the real `ros2 launch` makes of them and of a user's own.
 
 `launch_files/recorded` holds the command lines and parameter files that launch_ros of Jazzy gave to the processes, byte

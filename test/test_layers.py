@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The structure of the package: which layer may import what, how files are named, sized and documented."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layouts of RViz and Foxglove: they can be read, and speak of topics that the node has, of the types they show."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hint in error messages about misspelled names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What pip and colcon are told: files, dependencies, pins, the command."""
 
 from __future__ import annotations

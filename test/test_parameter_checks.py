@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which parameters make sense together: every combination of the chain's methods, by the rules written once more."""
 
 from __future__ import annotations

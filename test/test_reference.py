@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference of the vision library and its catalogue of algorithms against the code."""
 
 from __future__ import annotations

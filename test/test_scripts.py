@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The environments that the scripts make: chosen interpreter, one installation, recovery; with impostors for Python."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Threads take turns quickly and leave a processor over inside blocks, and nothing of it stays behind."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw what the chapter on cameras does: the board through three lenses, and the fold of a lens model."""
 
 from __future__ import annotations

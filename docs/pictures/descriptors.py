@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same four keypoints in two views: their patches, and how far each descriptor changes from view to view."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw what the chapter on estimation does: a line among outliers, robust losses, and the minimisers' ways down."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A mosaic of fine and of vivid patterns, and what each demosaicking method makes of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of the keypoints' page: what each detector finds on one made-up scene."""
 
 from __future__ import annotations

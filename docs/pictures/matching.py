@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A picture of repeating tiles: matches by descriptors alone, and those that a first homography brings back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One picture, and what the chapter makes of it: light, thresholds, edges, warps."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A figure under each class of plane transformation, with what the class preserves."""
 
 from __future__ import annotations

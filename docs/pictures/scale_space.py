@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The three Gaussian kernels where they differ, and a Laplacian pyramid."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the last step of a piece of work in a thread of its own, behind the one that goes on, in bounded memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A file read by position, never beyond its end."""
 
 from __future__ import annotations

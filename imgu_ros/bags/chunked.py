@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of a bag file made of chunks (MCAP, ROS 1), whole or damaged."""
 
 from __future__ import annotations

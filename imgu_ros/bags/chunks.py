@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What bag files made of chunks (MCAP, ROS 1) share: records, and the index that a walk over them gives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decompression that trusts no length: zstd, lz4 and bz2, of chunks, messages and whole files."""
 
 from __future__ import annotations

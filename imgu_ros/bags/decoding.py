@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From recorded bytes to messages, by the definitions that the bag itself carries."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frames of a bag: one image topic, each image with its camera_info."""
 
 from __future__ import annotations

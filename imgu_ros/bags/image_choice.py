@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which of a bag's image topics is the camera's picture of the scene, where nobody says it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The records of an MCAP file, parsed from bytes that may be anything.
 
 Source: the MCAP format specification (mcap.dev/spec): little-endian, every record is an opcode, a length and that many

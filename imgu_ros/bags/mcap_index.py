@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find what a whole or damaged MCAP file holds, by walking its records from the first to the last.
 
 The file's own summary is not trusted and not needed: the walk reads some bytes of every record, and jumps over the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of the ROS 2 Jazzy interfaces, without ROS: the bag side's `MessageFactory`."""
 
 from __future__ import annotations

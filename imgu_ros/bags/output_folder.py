@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The folder that a replay writes into: refused when it holds something else, cleared of earlier results on request."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is remembered of the frames of a replay, and what its report needs beside frames.csv."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pictures of a bag's image topic, without their camera_info: for those who are about to make one."""
 
 from __future__ import annotations

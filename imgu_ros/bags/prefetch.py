@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads ahead of a consumer that must not wait, in bounded memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frames of a bag, developed: what may be done with each before the chain has done with the one before it."""
 
 from __future__ import annotations

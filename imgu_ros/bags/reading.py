@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read recorded bags, whole or damaged: rosbag1, and rosbag2 in SQLite or MCAP, compressed or not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts why things failed, without growing with the number of frames."""
 
 from __future__ import annotations

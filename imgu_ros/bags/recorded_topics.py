@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics of a replay's results bag: those that always are in it, and those on request."""
 
 from __future__ import annotations

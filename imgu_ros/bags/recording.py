@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated sequence as a bag, with all that is needed to replay it and to judge the replay."""
 
 from __future__ import annotations

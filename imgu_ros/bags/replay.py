@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the chain over a recorded bag, offline: frames.csv, poses, a results bag, a summary and a report."""
 
 from __future__ import annotations

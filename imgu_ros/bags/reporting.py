@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The last step of a replay: `summary.json` and `report.html`, from `frames.csv` and what was remembered."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All that a replay writes while frames pass: frames.csv, poses, the results bag, and samples for the report."""
 
 from __future__ import annotations

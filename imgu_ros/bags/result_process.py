@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results written by a process of their own, which `imgu_ros.bags.result_writer` is."""
 
 from __future__ import annotations

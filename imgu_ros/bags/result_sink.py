@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a replay's results go: written beside the chain, in a thread or in a process of their own."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The process that writes a replay's results: `python -m imgu_ros.bags.result_writer`, for `ResultProcess` alone.
 
 Reads pickled `Files`, then lists of `Written`, then perhaps `Replayed` from standard input, and at the end writes to

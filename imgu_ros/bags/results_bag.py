@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The results bag of a replay: the messages that the live node would have published, stamped as the input."""
 
 from __future__ import annotations

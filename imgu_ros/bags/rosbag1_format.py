@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The records of a ROS 1 bag file, and the walk over them; unindexed and cut files are walked like whole ones.
 
 Source: the bag format 2.0 (wiki.ros.org/Bags/Format/2.0): every record is a header of named fields and data, each after

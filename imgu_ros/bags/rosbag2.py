@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rosbag2 directory: which files belong to it, and which of them are missing."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of rosbag2's SQLite storage (.db3), whole or cut."""
 
 from __future__ import annotations

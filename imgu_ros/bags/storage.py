@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every storage of a bag gives: channels, messages in time order, warnings; and how several are read as one."""
 
 from __future__ import annotations

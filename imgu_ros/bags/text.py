@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text in recordings: UTF-8 by every format's rules, and not always in fact (comments of definitions, names)."""
 
 from __future__ import annotations

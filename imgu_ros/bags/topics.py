@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the image topic of a bag and the camera_info beside it."""
 
 from __future__ import annotations

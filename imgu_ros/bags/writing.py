@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write a rosbag2 directory that `ros2 bag`, rosbags and Foxglove read."""
 
 from __future__ import annotations

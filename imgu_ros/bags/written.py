@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What goes to those who write results."""
 
 from __future__ import annotations

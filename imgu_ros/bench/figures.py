@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From samples to figures: medians, percentiles, shares."""
 
 from __future__ import annotations

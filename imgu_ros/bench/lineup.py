@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who is compared with whom: the chain, tracking and detecting, and the recipes."""
 
 from __future__ import annotations

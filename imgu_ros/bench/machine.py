@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where figures were taken: processor, cores, threads, versions, and what else ran there meanwhile."""
 
 from __future__ import annotations

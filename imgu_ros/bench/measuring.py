@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Methods on the same frames, one after the other on each frame, against the truth and the clock."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How much memory a method takes: in a process that does nothing else, and over many frames."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is measured: something that is given a raw frame and says where the known targets are."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures as one picture: accuracy over time, and what is found under each condition."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What people write today with OpenCV alone, as a competent user writes it.
 
 Demosaicking straight to grey, 1000 features, brute-force matching with the ratio test, MAGSAC++ with 3 px, and the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `imgu bench` measures: suites of runs, from the table of a minute or two to everything."""
 
 from __future__ import annotations

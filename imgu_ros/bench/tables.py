@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures as tables for people: ours beside the recipes, absolute and as ratios."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Views of a chessboard in image files or in a bag: what `imgu calibrate` works from."""
 
 from __future__ import annotations

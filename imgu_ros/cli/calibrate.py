@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Intrinsics and distortion from views of a chessboard, to a camera_info YAML as ROS writes it.
 
 Takes image files, folders of them, or a bag. --board counts inner corners: a board of 10 x 7 squares has 9x6. Hold it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """See the whole thing work: simulate a Bayer bag with exact ground truth, replay it, and report how accurate it is.
 
 DIR/bag holds the simulated bag, DIR/replay what `imgu replay` writes, report.html among it. Only an earlier demo is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Turn one raw or mosaicked image file (PGM, PNG, TIFF, or headerless) into a colour image of the same depth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Smooth an image file, convolve it with any kernel, sharpen it, or find its edges.
 
 mean, gaussian   smoothing

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The `imgu` command: finds the subcommand, runs it, and turns its errors into one line and an exit code."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find a target in an image, two files, with the very chain of the live node; exits 1 when it is not found."""
 
 from __future__ import annotations

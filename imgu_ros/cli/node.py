@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run a live ROS 2 node. `perception` is the whole chain, from image to pose, in one process; the others are a stage of
 it each, to be spread over processes and hosts.
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options that several commands share: parameters, set exactly as ROS 2 sets them."""
 
 from __future__ import annotations

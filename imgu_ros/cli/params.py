@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """List every parameter: name, type, default, range or choices, unit, description."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the pixels of an image file are: grey, colour, or a mosaic, as `--pattern` or `raw.encoding` says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publish a recorded bag on live topics, with the bag's timing and /clock.
 
 Headers are left as they were recorded. ROS arguments (remaps, QoS overrides) follow `--ros-args`.

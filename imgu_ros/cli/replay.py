@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the whole chain over one recorded image topic, offline: no DDS, no rclpy.
 
 Reads rosbag1 and rosbag2 (SQLite, MCAP, compressed); several paths are the parts of one recording. Writes into DIR:

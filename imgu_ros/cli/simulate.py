@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulate a calibrated camera that moves before printed pictures, and write what it sees as a bag.
 
 Writes into BAG: a rosbag2 with /camera/image_raw and /camera/camera_info, the template images, truth.csv (the exact

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warnings of commands, on stderr."""
 
 from __future__ import annotations

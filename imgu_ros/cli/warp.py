@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resize, rotate or warp an image file.
 
 With --size alone the picture is resized. --rotate and --scale turn and scale it about a point; --matrix maps it by any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """sensor_msgs/CameraInfo <-> Camera."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a camera_info message or a calibration file says -> the camera that took an image, or why there is none.
 
 Messages and files are brought into one form, `CameraDescription`, and read by one function.

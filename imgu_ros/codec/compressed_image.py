@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """sensor_msgs/CompressedImage <-> pixels: JPEG and PNG."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What drivers and calibration tools call their lens distortion -> a model and its coefficients."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The names of image encodings, as in sensor_msgs/image_encodings.hpp, and what they mean."""
 
 from __future__ import annotations

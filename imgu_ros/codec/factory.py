@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the codec makes messages without knowing whose they are: rclpy's or rosbags'."""
 
 from __future__ import annotations

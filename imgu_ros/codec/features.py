@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keypoints, matches and homographies <-> sensor_msgs/PointCloud2.
 
 Columns are aligned to their size, so that a reader in C may take pointers to them; the padding is zero.

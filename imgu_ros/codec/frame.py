@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An image message and its camera_info -> Frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outlines, poses, odometry, paths and transforms -> messages; transforms back again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stamps and frames: std_msgs/Header."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is odd about the headers of an image topic and its camera_info: stamps that do not rise, names of no frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether an intrinsic matrix can be a camera's: the signs of a placeholder, of other units, of another resolution.
 
 The limits are wide enough for every camera that was met: telephoto lenses of 600 mm, circular fisheyes of 220 degrees,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs each image with the camera_info that describes it, by stamp.
 
 The order of arrival differs between a bag and a live graph, and between two runs of a live graph. The rules below

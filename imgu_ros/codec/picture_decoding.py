@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pixels of a JPEG or PNG file, also of a JPEG that lacks nothing but its end marker."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether the bytes of a JPEG or PNG file are whole, before a decoder sees them.
 
 OpenCV decodes a cut JPEG to a half-grey picture, and takes the memory that a hostile size asks for; it says nothing.

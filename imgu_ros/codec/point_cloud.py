@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """sensor_msgs/PointCloud2 <-> structured arrays: tables whose columns have names, types and counts."""
 
 from __future__ import annotations

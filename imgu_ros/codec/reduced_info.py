@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_info of a reduced picture: of which frame, how much of it, and with which camera it was taken."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A frame's Result -> the messages of every output topic.
 
 Topics are named relative to the node, as in `docs/interfaces.md`. A function returns None where the frame has nothing

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What calibration tools write -> `CameraDescription`: files of ROS, OpenCV, Kalibr, ORB-SLAM, and echoed messages.
 
 - YAML of camera_calibration_parsers (`image_width`, `camera_matrix`, ...), with OpenCV's tags as well

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Camera calibration files: those of ROS, OpenCV and Kalibr are read, ROS's YAML is written."""
 
 from __future__ import annotations

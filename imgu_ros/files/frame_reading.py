@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How frames are read, as `camera.*` and `raw.encoding` say."""
 
 from __future__ import annotations

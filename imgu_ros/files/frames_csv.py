@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`frames.csv`: a row for every input frame and target, every number written so that it reads back the same."""
 
 from __future__ import annotations

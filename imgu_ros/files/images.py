@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image files: PNM, PNG, TIFF and JPEG at their own depth, and headerless raw data."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS 2 parameter files and overrides, read as rcl reads them, without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an image file says about its pixels beside them: orientation, and what its transparency means.
 
 Decoders disagree about these: OpenCV turns TIFF files whatever it is asked for, PNG files in some versions, and loses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`poses_<target>.tum` and `ambiguous.csv`: the poses of a replay for other tools."""
 
 from __future__ import annotations

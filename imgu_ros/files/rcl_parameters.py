@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameter files and overrides as rcl combines them: the same language, the same order, the same result.
 
 A replay must get from a file what the live node gets from it through rcl. rcl parses YAML events with a small state

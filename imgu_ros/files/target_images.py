@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load the pictures of the known targets that the parameters name."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text files to write, UTF-8; what the operating system refuses becomes a FileError."""
 
 from __future__ import annotations

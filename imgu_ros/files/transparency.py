@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures with transparency, composed on white, as they are printed on paper."""
 
 from __future__ import annotations

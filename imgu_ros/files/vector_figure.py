@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Vector figures (SVG, PDF, PostScript): lines, dots and text over a raster picture, that scale without artefacts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scalars of YAML with the types that rcl's parameter parser gives them, which are not PyYAML's.
 
 `1e-3` is a double, `010` the integer 8 and `null` a string. Source: `get_value` of rcl_yaml_param_parser (ROS 2 Jazzy),

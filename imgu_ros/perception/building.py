@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A chain that is ready for its first frame, made of as much of an earlier one as stays the same."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether the calibration that frames come with fits what they show, accumulated over frames."""
 
 from __future__ import annotations

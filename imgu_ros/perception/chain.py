@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chain: one frame in, one result out."""
 
 from __future__ import annotations

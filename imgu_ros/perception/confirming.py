@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a frame shows a target where an estimate says it is: the share of it that looks as it should.
 
 Agreeing keypoints say that some part of a target is there; a part may also belong to another picture that shares it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From raw pixels to the grey picture that the chain works on, and to colour for those who ask."""
 
 from __future__ import annotations

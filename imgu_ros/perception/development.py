@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The development of a frame, which may run ahead of the rest of the chain, in another thread."""
 
 from __future__ import annotations

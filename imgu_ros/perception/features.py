@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keypoints and descriptors of a frame: in a first look, or thoroughly."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finding a target's patches in a frame, at one resolution: align, fit the motion that most agree on, and again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Times of frames for predicting motion: their stamps where these rise, else evenly spaced."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coordinate frames: which hangs from which, and where it was when."""
 
 from __future__ import annotations

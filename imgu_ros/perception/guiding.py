@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """More matches for a target that was found: sought again where its homography predicts them."""
 
 from __future__ import annotations

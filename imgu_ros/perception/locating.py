@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From tentative matches to where a target is: homography, refinement, confirmation, pose."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the camera is in the map, told by all targets seen whose places in it are known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts made of given values: made once, and used again by whoever needs the same made of equal values."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which of a target's patches a picture should show, and where: octave, view, and the squares that hold them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A frame's grey picture at full resolution and halved, as far as somebody asks for it."""
 
 from __future__ import annotations

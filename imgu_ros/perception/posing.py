@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a target's homography to what is said of it: plausibility, outline, pose."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the last sightings of a target lead: its place in the next frame, and how wrong that may be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes to the grey picture before keypoints are sought: off by default.
 
 Targets and frames go through the same steps before keypoints are sought and described. Alignment of patches does not:

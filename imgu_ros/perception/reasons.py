@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Why a target has no homography or no pose: in the user's terms first, then in numbers. All such words are here."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A frame's picture of a target, as if seen straight on: drawn onto the pixel grid of the target's own picture."""
 
 from __future__ import annotations

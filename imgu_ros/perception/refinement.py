@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Refinement: a target's patches are aligned with the frame, from coarse to full resolution."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which remarks were made before: each is for people once, however many frames make it."""
 
 from __future__ import annotations

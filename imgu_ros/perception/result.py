@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What comes out of the chain, with every intermediate."""
 
 from __future__ import annotations

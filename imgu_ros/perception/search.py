@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Looking for one target in one frame: its keypoints are matched, and what agrees is located."""
 
 from __future__ import annotations

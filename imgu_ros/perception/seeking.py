@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Looking for the targets that no track led to: which of them, and how thoroughly."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a target has moved to when nothing tells: every shift is tried on a small picture, by cross-correlation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether the printed width that somebody gave a target can be: a wrong unit puts it absurdly far or near."""
 
 from __future__ import annotations

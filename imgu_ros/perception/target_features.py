@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What frames are matched to: a target's keypoints at every scale, how it looks from near and from the side."""
 
 from __future__ import annotations

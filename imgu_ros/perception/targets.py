@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Targets: the known flat pictures, and what the chain prepares of them once."""
 
 from __future__ import annotations

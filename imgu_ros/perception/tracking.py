@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Following a target from frame to frame: predict, align, and say whether it holds."""
 
 from __future__ import annotations

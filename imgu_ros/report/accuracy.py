@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Estimates against the truth: corner error, rotation, translation, and whether the covariance is honest."""
 
 from __future__ import annotations

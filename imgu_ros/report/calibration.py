@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a calibration: residuals over the image, by their distance from the centre, and by view."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A frame with what the chain found in it drawn over: as a raster picture, or as vectors over one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A handful of annotated frames, spread over a replay of unknown length, in bounded memory."""
 
 from __future__ import annotations

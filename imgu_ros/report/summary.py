@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figures of a replay: what `summary.json` says and the report shows."""
 
 from __future__ import annotations

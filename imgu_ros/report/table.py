@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frames of a replay as columns of numbers, read back from `frames.csv`; what the summary and the plots work on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Versions of the package and of what it stands on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Work that takes long, beside the executor's thread: a coroutine that a service awaits."""
 
 from __future__ import annotations

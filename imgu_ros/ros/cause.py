@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Why nothing comes out of a node: one cause, its words, and which causes the log has heard of."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a node's clock runs: with use_sim_time it stands still until /clock comes."""
 
 from __future__ import annotations

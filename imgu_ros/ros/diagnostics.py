@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What /diagnostics says about a perception node: figures, and the reason when nothing comes out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Says why nothing comes out of a node: each cause once in the log, and all that hold in /diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image input of a node: subscriptions, and pairing with camera_info."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Why an image input gives nothing, or less than it should."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every node of this package is: managed, configured by parameters, idle while nobody listens."""
 
 from __future__ import annotations

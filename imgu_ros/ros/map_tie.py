@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What ties the robot's tree of frames to the map: map -> root on /tf, from the camera's pose in the map."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes rclpy's messages; needs the message packages, and neither rclpy nor DDS."""
 
 from __future__ import annotations

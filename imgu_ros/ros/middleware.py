@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The DDS profile for large images: which one fits this machine, setting it for this process, and what is said of it.
 
 Fast DDS gives a process that sends 512 KB of shared memory, less than one frame. The profile must be in force in every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Between the callbacks, which only hand over, and the worker."""
 
 from __future__ import annotations

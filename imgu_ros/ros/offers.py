@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who publishes what a subscription asks for: nobody, another type, with a quality of service that does not fit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Output topics of a node: a publisher for each, and nothing made for those that nobody listens to."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When recorded messages are to be published."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node's parameter files do not do, although they look as if: ROS 2 says nothing of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The declared parameters on a ROS node: described, checked as one, and never silently ignored.
 
 rclpy by itself ignores an override whose name nobody declares, and its parameter services check one value at a

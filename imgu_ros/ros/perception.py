@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `perception`: the whole chain in one process, live."""
 
 from __future__ import annotations

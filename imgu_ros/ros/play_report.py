@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was played, and how well the timing was kept."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publishes a recorded bag on live topics, with its timing."""
 
 from __future__ import annotations

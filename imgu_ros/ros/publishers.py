@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The publishers of a node: who listens to which, and a set of topics that can change while others stay."""
 
 from __future__ import annotations

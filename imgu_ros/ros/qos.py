@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Quality of service: what the nodes ask for and offer, and counts of what the middleware reports about it."""
 
 from __future__ import annotations

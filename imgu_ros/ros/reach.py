@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which processes a node can reach: its ROS domain, what confines it to this machine, and whose memory it can read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes the chain for changed parameters beside the one that works, so that no frame waits for it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a node's callbacks in one thread, those that come with every frame at little cost.
 
 rclpy's executor gathers all that a node waits for before each callback. For a node with parameters, services and a

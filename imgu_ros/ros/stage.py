@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a stage of the chain is when it has a node of its own: what it takes, what it gives, and what it does."""
 
 from __future__ import annotations

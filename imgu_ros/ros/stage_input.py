@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Input of a stage node: the messages of one stamp from several topics, and the camera_info that goes with them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node of one stage of the chain: lifecycle, parameters, lazy inputs, one worker, diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ends a process of this package cleanly on SIGINT and SIGTERM, whatever it is doing.
 
 rclpy's own handlers shut the context down under the threads that still publish; its executor waits in C, where a

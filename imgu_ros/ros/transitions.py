@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers requests for lifecycle transitions that are not possible: rclpy raises an error and leaves them waiting."""
 
 from __future__ import annotations

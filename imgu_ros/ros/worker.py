@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The thread that does the work: takes the newest frame, decodes it, runs the chain, and hands the result out."""
 
 from __future__ import annotations

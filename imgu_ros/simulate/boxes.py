@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which blocks of an image a printed plane can reach."""
 
 from __future__ import annotations

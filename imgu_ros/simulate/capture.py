@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a camera takes a picture: for how long, row by row or at once, through which aperture, how bright."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Views of a chessboard with known corners, through any lens: for calibration's tests, benchmark and pictures."""
 
 from __future__ import annotations

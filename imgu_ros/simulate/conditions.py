@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What real cameras do to a target, one thing at a time, as named conditions of otherwise the same frames."""
 
 from __future__ import annotations

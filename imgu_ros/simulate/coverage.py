@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How much of each pixel a rectangle on a plane covers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What spoils a picture before the sensor sees it: things in the way, highlights, blur, uneven and unsteady light.
 
 Everything works on light, before noise and quantisation: float32, 1 saturates the sensor. What hides a part of the

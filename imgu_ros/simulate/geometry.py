@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The homographies between template, printed plane and image that follow from a pose, exact to rounding."""
 
 from __future__ import annotations

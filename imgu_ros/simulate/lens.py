@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a simulated thin lens is: its focal length, its sensor, and between which depths it is sharp."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A printed image at several resolutions in linear light, so that no sampling rate aliases it or shows its pixels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames that do not show a target: photographs, seen from anywhere, and pictures that look like the target."""
 
 from __future__ import annotations

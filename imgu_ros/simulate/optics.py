@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where each pixel of a camera looks, and the map from there onto a plane."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A smooth camera path around a scene: a full roll, tilt, approach and retreat."""
 
 from __future__ import annotations

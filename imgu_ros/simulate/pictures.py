@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Printed pictures that are hard to tell apart: from themselves, shifted, or from one another."""
 
 from __future__ import annotations

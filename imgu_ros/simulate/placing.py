@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the camera stands when something about the view is prescribed: the target's size, its tilt, what is cut off."""
 
 from __future__ import annotations

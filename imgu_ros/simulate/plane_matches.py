@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Matches of a plane of which many are wrong, with the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The light that reaches each pixel of a camera before a scene."""
 
 from __future__ import annotations

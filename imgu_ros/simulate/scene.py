@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What stands before the camera: printed planes in front of a wall."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated sequence: raw frames with their exact truth, without any bag."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Procedural textures: detail at every scale, colourful, the same for the same seed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames under a condition, with exact truth: a smooth sequence, or single frames that have nothing to do with another.
 
 The truth is the geometry that the frames were made with: it depends on no estimator. The same condition, size and

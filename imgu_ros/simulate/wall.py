@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rough wall behind the targets: an endless plane with a repeating grey texture."""
 
 from __future__ import annotations

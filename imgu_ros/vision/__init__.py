@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Algorithms from arrays to arrays, in nine rooms; they need numpy, scipy and OpenCV, and nothing of ROS.
 
 Each room exports its public functions and classes: `from imgu_ros.vision.projective import estimate_homography`. This

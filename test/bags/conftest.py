@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A tiny MCAP writer, by the format's specification alone, and bags to read."""
 
 from __future__ import annotations

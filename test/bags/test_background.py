@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Work behind another thread: in order, bounded, finished in any case, and its errors not lost."""
 
 from __future__ import annotations

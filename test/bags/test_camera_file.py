@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings made before their camera was calibrated, or by a driver that calls a mosaic grey, and `imgu replay`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every choice of the chain beside every other one, on a short simulated bag: a pairwise covering array.
 
 Most faults of options that meet need two of them (Kuhn, Wallace & Gallo 2004): runs in which every pair of values

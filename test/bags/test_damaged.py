@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged bags: what can be read is read, what is lost is said, and nothing but BagError is raised."""
 
 from __future__ import annotations

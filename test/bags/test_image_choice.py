@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which image topic is read when nobody names one: recordings as drivers and their launch files make them."""
 
 from __future__ import annotations

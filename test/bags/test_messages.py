@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """make_message against the interface definitions, and through rosbags' own serialiser."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """metadata.yaml of every version and system, and the ways to name a bag."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A replay whose stages overlap says what one frame after the other says, and ends whole whatever ends it."""
 
 from __future__ import annotations

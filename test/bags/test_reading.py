@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whole bags: every storage, compression and version, against what was written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The main job on real input: a Nikon sensor's raw frames, and bags that other people recorded."""
 
 from __future__ import annotations

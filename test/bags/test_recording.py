@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated bags: what is written is what was simulated, in every format."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results written by another process are those that a thread writes, and whatever ends either, files are whole."""
 
 from __future__ import annotations

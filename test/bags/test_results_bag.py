@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The results bag: the camera in the map, when the targets' places in it are given."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text that is not UTF-8, and definitions that cannot be read: neither costs a message of another topic."""
 
 from __future__ import annotations

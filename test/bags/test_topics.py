@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which topic is the image topic, and which camera_info belongs to it."""
 
 from __future__ import annotations

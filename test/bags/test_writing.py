@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """BagWriter, read back by rosbags."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Samples and figures of methods whose answers are known."""
 
 from __future__ import annotations

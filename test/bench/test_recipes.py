@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recipes do what a user would expect of them: no handicap."""
 
 from __future__ import annotations

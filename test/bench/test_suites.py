@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The suites, small; tables; machine; memory."""
 
 from __future__ import annotations

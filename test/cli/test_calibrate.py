@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`imgu calibrate`, from simulated pictures and bags to the YAML, and one line for every bad input."""
 
 from __future__ import annotations

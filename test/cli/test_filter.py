@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`imgu filter` against pictures and kernels worked out by hand."""
 
 from __future__ import annotations

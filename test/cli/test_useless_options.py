@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An option that a command would ignore is refused, before any work."""
 
 from __future__ import annotations

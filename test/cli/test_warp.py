@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`imgu warp` against pictures turned by numpy and mapped by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_info messages as drivers fill them, each with the camera that really took the image and what is right.
 
 What is right is known by construction: every case begins with a true camera, of which an image is rendered with OpenCV

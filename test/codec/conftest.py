@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Both kinds of messages: every test that makes messages runs on rclpy's classes and on rosbags'."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two hundred camera_info messages and more, with images: a pose, a homography and why, or a rejection and why."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What one stage tells another arrives as it was told; what cannot be meant is refused."""
 
 from __future__ import annotations

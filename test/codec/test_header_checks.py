@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is odd about headers: each kind once, with its numbers, and gone when it is over."""
 
 from __future__ import annotations

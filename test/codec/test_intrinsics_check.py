@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Both sides of every limit of what a K can be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_info of reduced pictures: it says of which frame they are, in ROS's own terms."""
 
 from __future__ import annotations

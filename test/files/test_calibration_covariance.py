@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The covariance of a calibration in its file: written, read, and brought into the image's pixels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration files as their tools write them, byte for byte, and messages that say the same: one camera."""
 
 from __future__ import annotations

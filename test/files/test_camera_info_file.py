@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_info YAML: the format of camera_calibration_parsers, written by hand and round trips."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image files against hand-made bytes, round trips, and bad input."""
 
 from __future__ import annotations

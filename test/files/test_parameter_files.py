@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameter files and overrides: ROS 2's meanings, all sections, and every mistake in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orientation and transparency of image files: bytes made by hand or by Pillow, and what must come out of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PNM files against hand-made bytes, against OpenCV's reader where that is right, and damaged ones."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameter files and overrides against rcl itself: the same ones are accepted, and with the same values."""
 
 from __future__ import annotations

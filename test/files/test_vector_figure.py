@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Vector figures: what is drawn are vectors, at the right places, over the picture as it is."""
 
 from __future__ import annotations

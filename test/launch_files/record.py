@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Record what the real `ros2 launch` gives to the processes that it starts, byte for byte.
 
     python test/launch_files/record.py [FOLDER]

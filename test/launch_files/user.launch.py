@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A launch file of a user, with parameters written in it in every way that launch_ros offers."""
 
 from launch.actions import DeclareLaunchArgument

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A short simulated sequence that the tests of the chain share."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration that does not fit what is seen: found, said once, in the covariances; a right one is left alone."""
 
 from __future__ import annotations

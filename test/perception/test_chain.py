@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chain against simulated truth."""
 
 from __future__ import annotations

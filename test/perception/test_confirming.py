@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The share of a target that looks as it should, against shares known by construction."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every detector finds the target in a simulated frame."""
 
 from __future__ import annotations

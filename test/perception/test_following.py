@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patches of a target in one picture of a frame: which are sought, where they are found, and what is made of them."""
 
 from __future__ import annotations

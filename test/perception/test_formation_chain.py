@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the light does to a frame, seen from the chain's end: bands, thermal pictures, shutter and lens."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Times rise, and are the stamps where these do."""
 
 from __future__ import annotations

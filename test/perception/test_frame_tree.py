@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The robot's frames: lookups against products of matrices, interpolation against scipy's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every way to estimate the homography works in the chain."""
 
 from __future__ import annotations

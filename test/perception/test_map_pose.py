@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera in the map: several planes at known places, seen by one simulated camera."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter, changed while a target is tracked: what is made anew, what of the track stays, what comes out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts: made once of equal values, made anew of others, and let go when nobody asks for them again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Halved pictures and cut squares, against the raw values and the whole grey picture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where sightings lead: steady, changing and interrupted motions, and how wrong that may be."""
 
 from __future__ import annotations

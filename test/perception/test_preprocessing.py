@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps before keypoints are sought, and the chain with each of them against simulated truth."""
 
 from __future__ import annotations

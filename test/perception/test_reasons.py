@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is said of a target without homography or pose: each kind as a real frame brings it, wherever it is told."""
 
 from __future__ import annotations

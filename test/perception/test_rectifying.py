@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rectified pictures against the target's own picture, and against counting by hand."""
 
 from __future__ import annotations

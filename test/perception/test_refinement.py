@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Alignment of a target with simulated frames, from homographies that are wrong by known amounts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which targets are looked for, and how thoroughly."""
 
 from __future__ import annotations

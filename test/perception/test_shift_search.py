@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search over every shift, on simulated frames."""
 
 from __future__ import annotations

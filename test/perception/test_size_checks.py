@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Widths of another unit are told from wide and near things that there are."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What frames are matched to: where the keypoints of every kind of view lie, and when they are made."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Targets: conventions and refusals."""
 
 import numpy as np

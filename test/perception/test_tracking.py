@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracks: how far they are trusted, and whether they hold."""
 
 from __future__ import annotations

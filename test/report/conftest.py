@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results with exactly known content, made without the estimator."""
 
 from __future__ import annotations

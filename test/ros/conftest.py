@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the live tests share: a domain for each module, processes that always end, and a peer on the same graph."""
 
 from __future__ import annotations

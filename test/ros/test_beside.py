@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Long work beside an executor's thread."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A camera_info that does not fit what is seen, live: said once in the log, in /diagnostics, and the same numbers as
 offline."""
 

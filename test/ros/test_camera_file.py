@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live nodes with `camera.info_file` and `raw.encoding`: no camera_info is waited for, and both may change."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_info messages of rclpy, live: what cannot be used costs the pose alone, and is said once."""
 
 from __future__ import annotations

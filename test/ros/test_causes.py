@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whatever keeps poses from coming out is named, in the log and in /diagnostics, within three seconds."""
 
 from __future__ import annotations

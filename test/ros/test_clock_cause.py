@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stamps that are not of the clock that the node follows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Some hostile frames over the wire; benchmarks/hostile_frames.py sends ten thousand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The DDS profile for large images: which one, when it is set, and what is said where it cannot be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames: what goes out on /tf and in the map, with a package tf2_msgs as ROS has it, and without DDS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When recorded messages are published: as recorded, and not all at once after a hold-up."""
 
 from __future__ import annotations

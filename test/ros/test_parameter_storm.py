@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A short storm of parameters; benchmarks/parameter_storm.py is the long one."""
 
 from __future__ import annotations

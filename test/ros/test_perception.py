@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node, live: what it publishes is what the chain computes, and nothing stops it but a signal."""
 
 from __future__ import annotations

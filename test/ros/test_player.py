@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`imgu play`: what is heard is what was recorded, when it was recorded."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which processes a node can reach, from the environment, the machine's ports and its shared memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cameras that come, go and change, and a node that does the same: poses resume, and nothing is left over."""
 
 from __future__ import annotations

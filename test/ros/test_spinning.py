@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Callbacks of frames and of everything else, from one thread."""
 
 from __future__ import annotations

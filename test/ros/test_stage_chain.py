@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stages one after the other, without a middleware between them, beside the chain."""
 
 from __future__ import annotations

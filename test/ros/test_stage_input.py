@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of one stamp from several topics find each other, whatever the order in which they come."""
 
 from __future__ import annotations

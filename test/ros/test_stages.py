@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chain as six processes: what it tells is what the chain in one process tells."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node on /tf, over DDS: where ROS, and with it tf2_msgs, is installed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures by image_transport's convention: compressed in and out, JPEG and PNG, camera_info beside the image topic."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The worker: parameters that change between frames cost no track that does not depend on them."""
 
 from __future__ import annotations

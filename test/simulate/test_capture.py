@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shutter, lens and exposure of the simulated camera against their formulae, on small blobs of light on black."""
 
 from __future__ import annotations

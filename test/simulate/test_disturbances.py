@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each disturbance against what it claims."""
 
 from __future__ import annotations

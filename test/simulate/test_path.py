@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera's path: smooth, through its whole range, with the target in view."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Views as prescribed: size, tilt, what is cut off; and smooth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The renderer against geometry computed here: centroids of blobs, brute-force area means, flat fields."""
 
 from __future__ import annotations

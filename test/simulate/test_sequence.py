@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sequences without a bag, and the textures that they show."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames under every condition, with their truth; pictures that look alike; frames without a target."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The examples in the docstrings of vision/ run, and every parameter is described."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What each room of vision/ exports, and that importing it stays light."""
 
 from __future__ import annotations

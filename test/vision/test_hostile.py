@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hostile input to every public function of vision/: a typed error or the right answer, never NaN, never a crash.
 
 `test/vision/<room>/calls.py` (or several files `calls_*.py`) gives a valid call of each public function of the room::

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What those write first who come from numpy, OpenCV or scikit-image."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `demosaic`: raw images in, colour, grey, and the picture that keypoints are sought in out."""
 
 from __future__ import annotations

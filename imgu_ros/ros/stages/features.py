@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `features`: the levels of a pyramid in, keypoints with their descriptors out."""
 
 from __future__ import annotations

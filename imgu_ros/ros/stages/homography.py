@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `homography`: tentative matches in, where the targets are in the image out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `matcher`: keypoints in, their tentative matches with the targets' out."""
 
 from __future__ import annotations

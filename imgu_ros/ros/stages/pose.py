@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `pose`: homographies in, the camera's pose out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node `pyramid`: a grey picture in, its pyramid out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera: from rays to pixels and back, and what pictures of known things tell about it (notes 1.1.1-1.1.3, 8).
 
 | you have | you want | take |

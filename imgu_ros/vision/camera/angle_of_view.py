@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Focal length and angle of view of a pinhole (notes 1.1.1, 1.1.3, 8.1.3)."""
 
 from __future__ import annotations

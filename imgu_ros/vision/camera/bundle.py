@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The least-squares problem of a calibration: one camera, many views of one plane."""
 
 from __future__ import annotations

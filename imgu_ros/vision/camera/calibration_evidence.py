@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What many views of planes say together about a camera's calibration, beyond what chance explains."""
 
 from __future__ import annotations

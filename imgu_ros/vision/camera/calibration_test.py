@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the picture of a plane says about the camera's calibration: two numbers a frame beyond the pose's six.
 
 A homography has eight degrees of freedom, a calibrated camera's pose before a plane six. In the two directions that no

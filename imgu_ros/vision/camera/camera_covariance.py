@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The covariance of a camera's numbers: fx, fy, cx, cy and the distortion coefficients."""
 
 from __future__ import annotations

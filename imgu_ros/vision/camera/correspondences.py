@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Points of space and their pictures, checked."""
 
 from __future__ import annotations

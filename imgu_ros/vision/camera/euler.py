@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Euler angles, with their order by name (notes 8.1.5)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two poses that a plane's homography allows about one point: infinitesimal plane-based pose estimation.
 
 Collins & Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014, section 3.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pose of a camera before a plane."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Several estimates of one pose, each with its covariance, as one."""
 
 from __future__ import annotations

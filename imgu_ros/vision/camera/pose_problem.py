@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The least-squares problem of a calibrated camera's pose: reprojection errors and their derivative."""
 
 from __future__ import annotations

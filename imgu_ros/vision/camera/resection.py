@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A camera matrix from points of the world and their pictures: DLT and refinement (notes 8.1.5; HZ section 7.1)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid transforms, and the seven numbers that stand for them in files and parameters."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which views of a board to calibrate from: different ones, not a thousand of nearly the same."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a keypoint looks like, as a row of bits or numbers that another view of it resembles.
 
 `describe` takes the keypoints of any detector and describes each on the level of the pyramid that fits its scale;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Descriptors at keypoints of a pyramid."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a descriptor returns for one picture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patches as descriptors: the pixels themselves, turned and scaled to the keypoint (notes 5.1)."""
 
 from __future__ import annotations

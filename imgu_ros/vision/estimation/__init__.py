@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From measurements with errors, some of them wrong, to a model and its covariance.
 
 | what is given | use |

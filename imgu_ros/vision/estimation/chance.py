@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a consensus is more than chance: how many equally good ones wrong data are expected to give.
 
 An a-contrario test (Moisan & Stival 2004; Moisan, Moulon & Monasse 2012; Lowe 2004 counts alike). A sample of m data

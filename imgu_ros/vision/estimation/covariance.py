@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The covariance of a least-squares estimate, by propagation (HZ section 5.2, result 5.11)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Linear least squares: ordinary, weighted, total, homogeneous (notes 7.1, 7.2; HZ appendix 5)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random sample consensus for any model (notes 7.5; Fischler & Bolles 1981; HZ section 4.7).
 
 Hypotheses are generated and scored in batches, and each promising one is refitted to its own inliers (LO-RANSAC,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which points go into each minimal sample: uniform, or best first (PROSAC)."""
 
 from __future__ import annotations

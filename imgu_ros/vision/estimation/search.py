@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a search of `ransac` minimises, and how it betters a hypothesis."""
 
 from __future__ import annotations

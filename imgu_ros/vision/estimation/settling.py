@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a consensus to a fit whose own inliers are those it was fitted to."""
 
 from __future__ import annotations

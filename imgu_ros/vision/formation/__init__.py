@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image formation: lens, shutter, sensor, colour filters; from raw numbers to a picture.
 
 Light passes a lens and a shutter, a sensor counts it under colour filters, a converter makes numbers of it. The

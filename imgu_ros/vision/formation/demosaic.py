@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Demosaicking: a colour at every site of a Bayer mosaic (notes 1.2.3)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the numbers of a raw image mean: colour model, channel order, Bayer phase."""
 
 from __future__ import annotations

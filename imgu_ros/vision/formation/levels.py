@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Black level, white level and gains of raw data; the step to 8 bits (notes 1.1.6, 1.2.4)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From light to digital numbers: shot noise, read noise, quantisation (notes 1.1.6; EMVA Standard 1288, section 2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values of pictures and light: the transfer function of sRGB (IEC 61966-2-1).
 
 Image files and printers speak sRGB, in which equal steps look equal; a sensor's raw values go with the light. What is

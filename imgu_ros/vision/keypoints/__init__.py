@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keypoints: places that are found again in another view.
 
 `detect` finds them on every level of a pyramid with any of six detectors; all give position, scale, orientation and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keypoint detection on a pyramid, with any detector, spread over image and scales."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The places of large difference-of-Gaussians extrema, to a fraction of a pixel (Lowe 2004, section 4)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keypoints, as a structure of arrays."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Between `Corners` and OpenCV's list of cv2.KeyPoint."""
 
 from __future__ import annotations

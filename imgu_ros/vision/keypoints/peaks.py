@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Local maxima of a response map, to sub-pixel accuracy."""
 
 from __future__ import annotations

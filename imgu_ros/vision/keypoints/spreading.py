@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spreading keypoints evenly over an image."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which descriptors of two sets belong together.
 
 `match` finds the nearest row of one set for each of another, exactly, by comparing all. Whatever is ambiguous is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patches of a picture found in another by inverse compositional Lucas-Kanade (Baker & Matthews 2004, section 3.2).
 
 Of each patch T of the first picture the part that does not depend on the second is worked out once. The second picture

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A set of descriptors that others are matched to, prepared once."""
 
 from __future__ import annotations

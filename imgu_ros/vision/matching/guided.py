@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Matching guided by a homography, to convergence (notes 7.5; Hartley & Zisserman 2004, algorithm 4.6, step v)."""
 
 from __future__ import annotations

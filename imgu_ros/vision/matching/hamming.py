@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hamming distances between all rows of two sets, by one product of matrices (notes 5.4.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Hamming distance of binary descriptors (notes 5.4.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One index over the descriptors of many pictures: which of them a frame may show (Indyk & Motwani 1998).
 
 Comparing a frame with hundreds of pictures costs hundreds of comparisons. Rows of bits that differ in few of them often

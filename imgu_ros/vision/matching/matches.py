@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Matches between two sets of descriptors."""
 
 from __future__ import annotations

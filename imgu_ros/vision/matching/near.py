@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which points of one set lie near which of another."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nearest neighbours among descriptors: ratio test and mutual check (notes 5.3; Lowe 2004, section 7.1)."""
 
 from __future__ import annotations

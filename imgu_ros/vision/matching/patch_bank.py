@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The patches of a picture that is sought in others: what does not depend on those is worked out once."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparing two image patches (notes 5.1.1 to 5.1.3)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which points of a set lie at the same place."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How far measured displacements go when patches truly move: less than all the way where the picture is blurred.
 
 Lucas-Kanade takes the picture for the patch moved; of a picture that is less sharp than the patch it sees too small a

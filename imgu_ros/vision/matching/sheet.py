@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Squares of a picture one above the other on one sheet: where only they matter, only they are worked on."""
 
 from __future__ import annotations

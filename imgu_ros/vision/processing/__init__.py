@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations on pixels: points, histograms, convolution, derivatives, edges and warps.
 
 Everything here takes an image, `(H, W)` or `(H, W, 3)` in uint8, uint16 or float32 in [0, 1], and gives a new one.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What stands outside a picture (notes 2.2.2)."""
 
 from __future__ import annotations

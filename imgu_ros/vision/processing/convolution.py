@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convolution with any kernel and any border (notes 2.2.1 to 2.2.4)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image derivatives (notes 2.2.5, 2.2.6)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges: strength, threshold, Canny (notes 2.2.6; Canny 1986)."""
 
 from __future__ import annotations

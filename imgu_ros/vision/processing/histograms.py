@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Histograms, and what equalises them (notes 2.1.4; Zuiderveld 1994)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values between pixels, and resizing (notes 2.3.1, 2.3.2; Keys 1981)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations on single pixels (notes 2.1.1, 2.1.2)."""
 
 from __future__ import annotations

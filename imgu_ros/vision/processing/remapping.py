@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warps by any map: where each pixel of the result comes from, point by point (notes 2.3.5)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Splitting a kernel into rows and columns (notes 2.2.3)."""
 
 from __future__ import annotations

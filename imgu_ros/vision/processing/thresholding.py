@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Black and white by a threshold (notes 2.1.3; Otsu 1979)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Geometric warps of images (notes 2.3.3 to 2.3.5, 6.4)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plane projective geometry: transformations of the plane, homogeneous points and lines, homographies from points.
 
 A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_dst ~ H_dst_src @ x_src`.

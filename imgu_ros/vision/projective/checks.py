@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks that functions of a homography and corresponding points start and end with."""
 
 from __future__ import annotations

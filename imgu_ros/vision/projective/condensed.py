@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A homography by trimmed least squares, with all that its correspondences tell condensed to eight numbers and two
 small matrices: further models of the same plane (a calibrated camera's pose) are fitted to those instead of to the
 points (HZ section 5.2.3).

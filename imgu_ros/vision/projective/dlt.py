@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The direct linear transformation: a homography from points (notes 6.5, 7.2; HZ section 4.1, algorithm 4.2)."""
 
 from __future__ import annotations

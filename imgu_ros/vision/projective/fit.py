@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A homography with its covariance from correspondences without outliers."""
 
 from __future__ import annotations

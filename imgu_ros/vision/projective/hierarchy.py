@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hierarchy of plane transformations: which class a matrix belongs to, and what each class preserves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The small motion of a plane that displaced points tell, robustly: an affine map or a homography near the identity."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A homography with h33 = 1 by linear least squares, weighted with a covariance of the noise (notes 6.5, 7.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The logarithm of a homography, and its inverse: to a plane's motion on the picture what a velocity is to a distance.
 
 By inverse scaling and squaring (Higham, Functions of Matrices, 2008, sections 6.3 and 11.5): square roots bring the

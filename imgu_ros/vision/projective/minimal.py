@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Homographies from four points, many at once, as a model for `ransac`."""
 
 from __future__ import annotations

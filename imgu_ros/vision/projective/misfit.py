@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether residuals look like noise, or like something that the model does not know."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Homogeneous points and lines of the plane: join, meet, infinity, distance (notes 6.3, 6.4.4; HZ section 2.2).
 
 Points are rows (x, y, w), lines rows (a, b, c) with a x + b y + c w = 0. By duality each function of points has a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reprojection error of a homography: the gold standard (notes 7.3.1; HZ section 4.2.4, algorithm 4.3).
 
 Each correspondence is corrected to the nearest pair of points that H maps exactly onto each other; the error is how

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Applying homographies to points (notes 6.3, 6.4.5)."""
 
 from __future__ import annotations

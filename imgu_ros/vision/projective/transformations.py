@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Building, composing and inverting the transformations of the plane (notes 6.2, 6.4; HZ section 2.4)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scale space: Gaussians of three kinds, and pyramids.
 
 A picture at scale sigma is the picture smoothed by a Gaussian; smoothing again adds variances, sigma_t^2 = sigma_c^2 +

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gaussian smoothing (notes 2.2.4, 3.3.1, 3.3.2)."""
 
 from __future__ import annotations

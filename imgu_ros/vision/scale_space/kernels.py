@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One-dimensional Gaussian kernels: sampled and discrete (notes 3.3.1, 3.3.2; Lindeberg 1990)."""
 
 from __future__ import annotations

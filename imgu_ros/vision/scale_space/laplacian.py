@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Laplacian pyramid: what each octave adds, and the picture from it (notes 3.2.3; Burt & Adelson 1983)."""
 
 from __future__ import annotations

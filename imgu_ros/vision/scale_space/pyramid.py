@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gaussian pyramids with coarse and with fine scales, and their bands (notes 3.1, 3.2; Burt & Adelson 1983)."""
 
 from __future__ import annotations

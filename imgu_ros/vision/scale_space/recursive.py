@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recursive Gaussian: an infinite impulse response at a cost that does not depend on sigma (notes 3.3.2).
 
 Deriche's filter of fourth order. Its response on each side is a sum of two damped oscillations,

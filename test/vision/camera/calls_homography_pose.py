@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A valid call of the public functions of vision/camera about poses from homographies, for test_hostile.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Valid calls of the fusion of poses, for the hostile test."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Focal length and angle of view, against numbers worked out by hand and rays."""
 
 from __future__ import annotations

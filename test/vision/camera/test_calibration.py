@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration: exact, with an honest covariance, with outliers, and refusing what does not determine a camera."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the picture of a plane says of the calibration, and what the calibration's covariance means for the pose."""
 
 from __future__ import annotations

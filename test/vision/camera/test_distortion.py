@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lens distortion: the derivative by the coefficients, the fold, and the inverse up to it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Euler angles, against the matrices of the book and scipy, through gimbal lock."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses from condensed homographies against true poses, against the fit to the points, and over draws of noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera model: against hand-computed values, OpenCV's projection (stable over versions), and its own inverse."""
 
 import cv2

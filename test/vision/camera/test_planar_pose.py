@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Planar poses: exact, ambiguous, degenerate, with an honest covariance."""
 
 import contextlib

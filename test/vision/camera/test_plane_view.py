@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plane's homography and a rotation's, against projected points, and back to the pose and the rotation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses: the inverse and its covariance."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses from points in space and rotations between views: exact, honest about noise, and with wrong correspondences."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fusing poses: against the estimate from all observations at once, and against the true errors."""
 
 from __future__ import annotations

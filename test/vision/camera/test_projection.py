@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The projective camera: by hand, against the calibrated camera, and its own inverse, to 1e-12."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A camera matrix from points: exact, noisy with an honest covariance, degenerate, and with wrong correspondences."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid transforms, against 4x4 matrices and against numbers worked out by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SIFT against its definition (Lowe 2004, section 6), written down once more."""
 
 from __future__ import annotations

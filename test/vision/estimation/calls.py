@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A valid call of every public function of vision/estimation, for test_hostile.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Consensus and chance: wrong data agree on nothing, whatever the model; far data do no harm; weight 0 is none."""
 
 from __future__ import annotations

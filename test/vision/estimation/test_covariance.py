@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Covariance by propagation, against the scatter of many estimates."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rotations from directions: exact, against scipy, and among outliers."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines by total least squares: vertical ones too; invariance, covariance, and among outliers."""
 
 import numpy as np

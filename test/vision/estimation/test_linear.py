@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Linear least squares against closed forms, the scatter of estimates, and scipy."""
 
 import numpy as np

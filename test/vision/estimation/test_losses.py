@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robust losses: weights are the derivative of costs; scipy minimises the same."""
 
 import numpy as np

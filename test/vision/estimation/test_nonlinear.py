@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Minimisers on problems with known minima."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Consensus on a model of the test's own: a line through points of the plane."""
 
 import numpy as np

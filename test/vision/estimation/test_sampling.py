@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Minimal samples: distinct, uniform, and PROSAC's order."""
 
 import itertools

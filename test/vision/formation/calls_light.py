@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Valid calls of optics, shutter, sensor, levels and bands; see test/vision/test_hostile.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Grey images of N-band cubes against hand-computed spectra and their invariances."""
 
 from __future__ import annotations

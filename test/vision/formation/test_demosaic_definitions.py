@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The adaptive methods beside their definitions, evaluated on whole pictures in double precision, one colour a mask."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The thin lens against the Gaussian lens formula, ray by ray."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sizes of known sensors, from their data sheets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photon transfer, quantisation and saturation of the sensor model."""
 
 from __future__ import annotations

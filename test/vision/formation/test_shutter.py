@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exposure, motion blur and rolling rows against their definitions."""
 
 from __future__ import annotations

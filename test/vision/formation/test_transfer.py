@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The transfer function of sRGB: by its definition, there and back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A valid call of every public function of the room, for the hostile test."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A valid call of each public function of vision/matching, for test_hostile.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Alignment of patches against pictures that were moved by known amounts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs of near points against every pair compared with every other."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Responses against the linear maps that made the displacements, and on blurred pictures."""
 
 from __future__ import annotations

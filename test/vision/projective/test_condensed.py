@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Condensed homographies against known motions and outliers, the points themselves, and many draws of noise."""
 
 from __future__ import annotations

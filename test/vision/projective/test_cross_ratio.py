@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cross ratio of points and of lines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The linear homography: exact from four points, refusal of degenerate sets, normalisation."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures of error: definitions, invariances, and the gold standard against the full problem of scipy."""
 
 import numpy as np

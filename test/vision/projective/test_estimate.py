@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robust homographies: outliers, degenerate scenes, optimality, honest covariance."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every invariant of every class of plane transformations, and the classification of matrices."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motions of a plane from displacements, against the motions that made them."""
 
 from __future__ import annotations

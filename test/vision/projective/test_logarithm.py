@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The logarithm of homographies: beside scipy's, and by what it is for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Homographies of four points, in batches."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Residuals that neighbours share: noise draws have none, smooth fields have."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What wrong matches may do to a homography: nothing. Where they lie, how many, and whether there are any others."""
 
 from __future__ import annotations

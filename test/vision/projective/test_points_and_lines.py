@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identities of homogeneous points and lines."""
 
 from __future__ import annotations

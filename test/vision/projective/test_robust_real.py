@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robust homographies from real tentative matches, and a simulated twin that is never skipped."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mapping points, local derivative, sign and orientation of homographies."""
 
 import numpy as np

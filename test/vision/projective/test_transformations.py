@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Building, composing and inverting transformations of the plane."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interpolation along the weaker gradient (Hamilton & Adams, US patent 5629734, 1997)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Linear interpolation, corrected by the gradient of the measured colour (Malvar, He & Cutler 2004)."""
 
 from __future__ import annotations

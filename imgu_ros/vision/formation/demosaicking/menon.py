@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Directional filtering with a posteriori decision, and refining (Menon, Andriani & Calvagno 2007)."""
 
 from __future__ import annotations

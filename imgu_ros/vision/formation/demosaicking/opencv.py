@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bilinear and edge-aware interpolation by OpenCV, with the border interpolated as well."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The quarter planes of a Bayer mosaic: one field for each site of the quad (red, green, green, blue).
 
 Sites of one colour lie two pixels apart, so every demosaicking formula becomes sums of a few whole fields, shifted by

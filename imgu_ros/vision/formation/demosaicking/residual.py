@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Residual interpolation (Kiku, Monno, Tanaka & Okutomi 2013 to 2016), by guided upsampling."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a demosaicking recipe over a mosaic, strip by strip: any phase, size and depth, on all of OpenCV's threads."""
 
 from __future__ import annotations
