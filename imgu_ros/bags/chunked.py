@@ -11,9 +11,9 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.chunks import ChannelRecord, ChunkIndex, Gap, MessageRecord, Record, Stretch
-from imgu_ros.bags.compression import decompressed
+from imgu_ros.bags.compression import check_message_size, decompressed
 from imgu_ros.bags.storage import (
-    MAX_BYTES,
+    DEFAULT_LIMITS,
     Channel,
     Part,
     RawMessage,
@@ -23,6 +23,7 @@ from imgu_ros.bags.storage import (
     serialization_named,
 )
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 
 
 class ChunkedStorage:
@@ -35,6 +36,7 @@ class ChunkedStorage:
     warnings : takes what is damaged, now and while reading
     index : what a walk over the file found
     records : parses the decompressed data of a chunk; raises BagError where they break off
+    limits : `message_mb` bounds a chunk
     """
 
     def __init__(
@@ -44,9 +46,10 @@ class ChunkedStorage:
         warnings: Warnings,
         index: ChunkIndex,
         records: Callable[[bytes], Iterator[Record]],
+        limits: LimitsParameters = DEFAULT_LIMITS,
     ) -> None:
         self._file, self._name, self._warnings = file, name, warnings
-        self._index, self._records = index, records
+        self._index, self._records, self._limits = index, records, limits
         self._stretches = [stretch for stretch in index.stretches if self._is_known(stretch)]
         self._by_id = {identity: self._channel(record) for identity, record in index.channels.items()}
         for gap in index.gaps:
@@ -133,10 +136,9 @@ class ChunkedStorage:
             yield found.pop()
 
     def _data(self, stretch: Stretch) -> bytes:
-        if max(stretch.size, stretch.data_size) > MAX_BYTES:
-            raise BagError(f"announces {max(stretch.size, stretch.data_size)} bytes; need at most {MAX_BYTES}")
+        check_message_size(max(stretch.size, stretch.data_size), self._limits)
         packed = self._file.read(stretch.data_offset, stretch.data_size)
-        data = decompressed(packed, stretch.compression, stretch.size)
+        data = decompressed(packed, stretch.compression, stretch.size, self._limits)
         if stretch.crc and zlib.crc32(data) != stretch.crc:
             raise BagError("its checksum differs")
         return data

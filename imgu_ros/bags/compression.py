@@ -9,8 +9,9 @@ from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
 
-from imgu_ros.bags.storage import MAX_BYTES
+from imgu_ros.bags.storage import DEFAULT_LIMITS
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -21,7 +22,7 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK = 2**20
 
 
-def decompressed(data: bytes, method: str, size: int) -> bytes:
+def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters = DEFAULT_LIMITS) -> bytes:
     """Return exactly `size` bytes from compressed `data`.
 
     Parameters
@@ -29,14 +30,14 @@ def decompressed(data: bytes, method: str, size: int) -> bytes:
     data : one compressed frame
     method : "", "zstd", "lz4" or "bz2"
     size : the announced size
+    limits : `message_mb` bounds the size
 
     Raises
     ------
     BagError
         If the method is unknown, the data are damaged, or the size differs.
     """
-    if size > MAX_BYTES:
-        raise BagError(f"announces {size} bytes; need at most {MAX_BYTES}")
+    check_message_size(size, limits)
     if method == "":
         result = data
     elif method == "zstd":
@@ -52,7 +53,7 @@ def decompressed(data: bytes, method: str, size: int) -> bytes:
     return result
 
 
-def decompressed_message(data: bytes | memoryview) -> bytes | memoryview:
+def decompressed_message(data: bytes | memoryview, limits: LimitsParameters = DEFAULT_LIMITS) -> bytes | memoryview:
     """Return a message's bytes, decompressed when rosbag2 compressed it by itself.
 
     Serialised messages begin with 0 (CDR), never with zstd's magic, so that no metadata is needed to tell.
@@ -64,13 +65,24 @@ def decompressed_message(data: bytes | memoryview) -> bytes | memoryview:
     """
     if data[: len(ZSTD_MAGIC)] != ZSTD_MAGIC:
         return data
-    result = _decompressed_zstd(data, MAX_BYTES)
-    if len(result) > MAX_BYTES:
-        raise BagError(f"message: more than {MAX_BYTES} bytes decompressed; need less")
+    result = _decompressed_zstd(data, 1_000_000 * limits.message_mb)
+    check_message_size(len(result), limits)
     return result
 
 
-def decompress_file(source: Path, target: Path) -> str:
+def check_message_size(size: int, limits: LimitsParameters) -> None:
+    """Refuse a message or a chunk of more than `limits.message_mb`.
+
+    Raises
+    ------
+    BagError
+        If `size`, in bytes, is more.
+    """
+    if size > 1_000_000 * limits.message_mb:
+        raise BagError(f"{size / 1e6:.1f} MB or more; need at most {limits.message_mb} (limits.message_mb)")
+
+
+def decompress_file(source: Path, target: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> str:
     """Decompress a zstd file as far as it goes; return what was wrong, empty when nothing was.
 
     Raises

@@ -14,9 +14,10 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from imgu_ros.bags.compression import decompressed_message
 from imgu_ros.bags.messages import make_message, message_layout, typestore
-from imgu_ros.bags.storage import Channel, RawMessage, Serialization
+from imgu_ros.bags.storage import DEFAULT_LIMITS, Channel, RawMessage, Serialization
 from imgu_ros.bags.text import ascii_patched
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -30,7 +31,8 @@ _IDL_SEPARATOR = "=" * 80 + "\n"
 class MessageDecoder:
     """Makes messages of what a bag holds; a channel's definition is parsed when its first message comes."""
 
-    def __init__(self) -> None:
+    def __init__(self, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
+        self._limits = limits
         self._stores: dict[Channel, Typestore | BagError] = {}
 
     def type_error(self, channel: Channel) -> str:
@@ -50,7 +52,7 @@ class MessageDecoder:
         store = self._store(channel)
         if isinstance(store, BagError):
             raise store
-        data = decompressed_message(raw.data)
+        data = decompressed_message(raw.data, self._limits)
         if channel.serialization != Serialization.ROS1:
             return message_from_cdr(channel.type_name, data, store)
         with _as_bag_errors(channel.type_name):
@@ -67,10 +69,10 @@ class MessageDecoder:
         """
         channel = raw.channel
         if channel.serialization == Serialization.CDR and self.type_error(channel):
-            return bytes(decompressed_message(raw.data))  # a type that the receiver may know
+            return bytes(decompressed_message(raw.data, self._limits))  # a type that the receiver may know
         message = self.decoded(raw)
         if channel.serialization == Serialization.CDR:
-            return bytes(decompressed_message(raw.data))
+            return bytes(decompressed_message(raw.data, self._limits))
         try:
             return bytes(typestore().serialize_cdr(message, channel.type_name))
         except Exception as error:  # a type or a field that ROS 2 does not have, or has otherwise

@@ -24,6 +24,7 @@ from imgu_ros.bags.rosbag1_format import index_rosbag1, rosbag1_records
 from imgu_ros.bags.rosbag2 import METADATA, splits
 from imgu_ros.bags.sqlite import SqliteStorage
 from imgu_ros.bags.storage import (
+    DEFAULT_LIMITS,
     Channel,
     Part,
     RawMessage,
@@ -33,6 +34,7 @@ from imgu_ros.bags.storage import (
     seconds,
 )
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _NEED = "need a ROS 1 bag, or a rosbag2 folder, .mcap or .db3 file"
@@ -65,12 +67,13 @@ class BagMessage:
     message: Any
 
 
-def open_bag(paths: Sequence[Path]) -> Bag:
+def open_bag(paths: Sequence[Path], *, limits: LimitsParameters = DEFAULT_LIMITS) -> Bag:
     """Open one or several bags, to be read as one.
 
     Parameters
     ----------
     paths : each a ROS 1 bag, a rosbag2 folder (or its metadata.yaml), or a single .mcap, .db3 or .zstd file of one
+    limits : what reading may cost
 
     Returns
     -------
@@ -88,18 +91,24 @@ def open_bag(paths: Sequence[Path]) -> Bag:
     _require_different(paths)
     with ExitStack() as stack:
         warnings = Warnings()
-        storages = [storage for path in paths for storage in _storages(Path(path), warnings, stack)]
-        return Bag(storages, warnings, stack.pop_all())
+        storages = [storage for path in paths for storage in _storages(Path(path), warnings, stack, limits)]
+        return Bag(storages, warnings, stack.pop_all(), limits)
 
 
 class Bag:
     """One or several open bags, read as one, in time order and in bounded memory. Made by `open_bag`."""
 
-    def __init__(self, storages: Sequence[Storage], warnings: Warnings, resources: ExitStack) -> None:
+    def __init__(
+        self,
+        storages: Sequence[Storage],
+        warnings: Warnings,
+        resources: ExitStack,
+        limits: LimitsParameters = DEFAULT_LIMITS,
+    ) -> None:
         self._storages = storages
         self._warnings = warnings
         self._resources = resources
-        self._decoder = MessageDecoder()
+        self._decoder = MessageDecoder(limits)
         self._is_open = True
         totals: dict[str, Topic] = {}
         for storage in storages:
@@ -225,17 +234,17 @@ def _require_different(paths: Sequence[Path]) -> None:
         known[real] = path
 
 
-def _storages(path: Path, warnings: Warnings, stack: ExitStack) -> list[Storage]:
+def _storages(path: Path, warnings: Warnings, stack: ExitStack, limits: LimitsParameters) -> list[Storage]:
     """Open all files of the bag at `path`; `stack` closes them."""
     if path.name == METADATA and path.is_file():
         path = path.parent
     if not path.is_dir():
-        return [_opened(path, path.name, warnings, stack)]
+        return [_opened(path, path.name, warnings, stack, limits)]
     storages: list[Storage] = []
     errors: list[BagError] = []
     for split in splits(path, warnings):
         try:
-            storage = _opened(split.path, split.path.name, warnings, stack)
+            storage = _opened(split.path, split.path.name, warnings, stack, limits)
         except BagError as error:
             errors.append(error)
             continue
@@ -250,7 +259,7 @@ def _storages(path: Path, warnings: Warnings, stack: ExitStack) -> list[Storage]
     return storages
 
 
-def _opened(path: Path, name: str, warnings: Warnings, stack: ExitStack) -> Storage:
+def _opened(path: Path, name: str, warnings: Warnings, stack: ExitStack, limits: LimitsParameters) -> Storage:
     """Open one file, whatever its name says, by its first bytes."""
     file = ByteFile(path)
     try:
@@ -261,15 +270,15 @@ def _opened(path: Path, name: str, warnings: Warnings, stack: ExitStack) -> Stor
         magic = file.read(0, min(file.size, 16))
         storage: Storage
         if magic.startswith(MCAP_MAGIC):
-            storage = ChunkedStorage(file, name, warnings, index_mcap(file), mcap_records)
+            storage = ChunkedStorage(file, name, warnings, index_mcap(file), mcap_records, limits)
         elif magic.startswith(ROSBAG1_MAGIC):
-            storage = ChunkedStorage(file, name, warnings, index_rosbag1(file), rosbag1_records)
+            storage = ChunkedStorage(file, name, warnings, index_rosbag1(file), rosbag1_records, limits)
         elif magic == _SQLITE_MAGIC:
             file.close()
-            storage = SqliteStorage(path, name, warnings)
+            storage = SqliteStorage(path, name, warnings, limits)
         elif magic.startswith(ZSTD_MAGIC) and path.suffix == ".zstd":
             file.close()
-            return _decompressed(path, name, warnings, stack)
+            return _decompressed(path, name, warnings, stack, limits)
         else:
             raise BagError(f"{path}: not a bag (begins with {magic[:8].hex()}); {_NEED}")
     except BaseException:
@@ -279,16 +288,16 @@ def _opened(path: Path, name: str, warnings: Warnings, stack: ExitStack) -> Stor
     return storage
 
 
-def _decompressed(path: Path, name: str, warnings: Warnings, stack: ExitStack) -> Storage:
+def _decompressed(path: Path, name: str, warnings: Warnings, stack: ExitStack, limits: LimitsParameters) -> Storage:
     """Open a file that rosbag2 compressed as a whole, from a temporary copy that `stack` removes."""
     try:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="imgu_bag_")))
     except OSError as error:
         raise BagError(f"{path}: no temporary folder to decompress it: {error.strerror}") from None
     plain = folder / (path.stem or "bag")
-    damage = decompress_file(path, plain)
+    damage = decompress_file(path, plain, limits)
     if damage:
         warnings.add(f"{name}: {damage}")
     if plain.stat().st_size == 0:
         raise BagError(f"{path}: nothing can be decompressed ({damage or 'it is empty'}); {_NEED}")
-    return _opened(plain, name, warnings, stack)
+    return _opened(plain, name, warnings, stack, limits)

@@ -74,7 +74,7 @@ def replay(
     check_output_folder(out, overwrite=overwrite, inputs=bags)
     warnings = _Warnings(on_warning)
     with ExitStack() as stack:
-        bag = stack.enter_context(open_bag(bags))
+        bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
         sink = stack.enter_context(result_sink(bag.message_count // 2, recorded))

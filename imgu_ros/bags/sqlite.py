@@ -11,9 +11,18 @@ from urllib.parse import quote
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from imgu_ros.bags.storage import MAX_BYTES, MAX_TIME_NS, Channel, RawMessage, Warnings, seconds, serialization_named
+from imgu_ros.bags.storage import (
+    DEFAULT_LIMITS,
+    MAX_TIME_NS,
+    Channel,
+    RawMessage,
+    Warnings,
+    seconds,
+    serialization_named,
+)
 from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 
 _BY_TIME, _BY_ID = "timestamp, id", "id"
 #: Rows of a damaged file that may come again, beyond as many as came once, before reading stops.
@@ -28,6 +37,7 @@ class SqliteStorage:
     path : the file
     name : what warnings call it
     warnings : takes what is damaged, now and while reading
+    limits : `message_mb` bounds a message
 
     Raises
     ------
@@ -35,9 +45,9 @@ class SqliteStorage:
         If the file cannot be opened, is no SQLite file, or has not rosbag2's tables.
     """
 
-    def __init__(self, path: Path, name: str, warnings: Warnings) -> None:
+    def __init__(self, path: Path, name: str, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
         self._path, self._name, self._warnings = path, name, warnings
-        self._database = _connected(path)
+        self._database = _connected(path, limits)
         try:
             self._by_id = self._channels()
             self._order = self._order_of_rows()
@@ -172,7 +182,7 @@ class SqliteStorage:
             return None
 
 
-def _connected(path: Path) -> sqlite3.Connection:
+def _connected(path: Path, limits: LimitsParameters) -> sqlite3.Connection:
     # `immutable` reads from read-only media too, but knows nothing of a write-ahead log that a recorder left behind.
     log = path.with_name(path.name + "-wal")
     mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
@@ -182,7 +192,7 @@ def _connected(path: Path) -> sqlite3.Connection:
         raise BagError(f"{path}: {error}; need a readable SQLite file") from None
     try:
         database.text_factory = bytes  # damaged text must not raise
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_BYTES)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(1_000_000 * limits.message_mb, 2**31 - 1))
         # Lets SQLite open a file that has fewer pages than its header says.
         database.execute("PRAGMA writable_schema = ON")
         return database

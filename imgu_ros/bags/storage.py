@@ -9,6 +9,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
+from imgu_ros.params import LimitsParameters
+
+#: Of whoever has no parameters at hand.
+DEFAULT_LIMITS = LimitsParameters()
 #: No chunk and no message of a sane bag is larger; a forged length must not make us allocate it.
 MAX_BYTES = 2**30
 #: Times of messages are signed 64-bit nanoseconds everywhere in ROS.

@@ -226,7 +226,7 @@ def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None
 
 
 def _of_bag(bags: Sequence[Path], parameters: Parameters) -> Iterator[_Picture]:
-    with open_bag(bags) as bag:
+    with open_bag(bags, limits=parameters.limits) as bag:
         for picture in recorded_pictures(bag, parameters.image_topic, parameters.raw.encoding):
             name = f"{picture.stamp_ns / 1e9:.3f} s"
             if picture.image is None:
