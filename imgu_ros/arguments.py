@@ -29,7 +29,7 @@ def as_generator(rng: np.random.Generator | int, name: str = "rng") -> np.random
         return rng
     if isinstance(rng, int | np.integer) and not isinstance(rng, bool) and rng >= 0:
         return np.random.default_rng(int(rng))
-    raise ShapeError(f"{name}: {shown(rng)}; need a numpy.random.Generator, or a seed: an integer >= 0")
+    raise ShapeError(f"{name}: {shown_value(rng)}; need a numpy.random.Generator, or a seed: an integer >= 0")
 
 
 def as_number(value: float, name: str) -> float:
@@ -45,7 +45,7 @@ def as_number(value: float, name: str) -> float:
             return float(value)
         except OverflowError:
             pass
-    raise ShapeError(f"{name}: {shown(value)}; need a number")
+    raise ShapeError(f"{name}: {shown_value(value)}; need a number")
 
 
 def as_integer(value: int, name: str) -> int:
@@ -58,7 +58,7 @@ def as_integer(value: int, name: str) -> int:
     """
     if isinstance(value, int | np.integer) and not isinstance(value, bool) and abs(int(value)) < 2**63:
         return int(value)
-    raise ShapeError(f"{name}: {shown(value)}; need an integer")
+    raise ShapeError(f"{name}: {shown_value(value)}; need an integer")
 
 
 def as_flag(value: bool, name: str) -> bool:
@@ -71,7 +71,7 @@ def as_flag(value: bool, name: str) -> bool:
     """
     if isinstance(value, bool | np.bool_):
         return bool(value)
-    raise ShapeError(f"{name}: {shown(value)}; need True or False")
+    raise ShapeError(f"{name}: {shown_value(value)}; need True or False")
 
 
 def require_type(value: object, kind: type, name: str) -> None:
@@ -83,7 +83,7 @@ def require_type(value: object, kind: type, name: str) -> None:
         If `value` is not a `kind`.
     """
     if not isinstance(value, kind):
-        raise ShapeError(f"{name}: {shown(value)}; need a {kind.__name__}")
+        raise ShapeError(f"{name}: {shown_value(value)}; need a {kind.__name__}")
 
 
 def require_methods(value: object, methods: Sequence[str], name: str) -> None:
@@ -96,7 +96,7 @@ def require_methods(value: object, methods: Sequence[str], name: str) -> None:
     """
     missing = [method for method in methods if not hasattr(type(value), method) and not hasattr(value, method)]
     if missing:
-        raise ShapeError(f"{name}: {shown(value)} without {', '.join(missing)}; need an object with it")
+        raise ShapeError(f"{name}: {shown_value(value)} without {', '.join(missing)}; need an object with it")
 
 
 def as_sequence(values: Any, name: str) -> Sequence[Any]:
@@ -111,11 +111,15 @@ def as_sequence(values: Any, name: str) -> Sequence[Any]:
         return values
     if isinstance(values, np.ndarray) and values.ndim:
         return list(values)
-    raise ShapeError(f"{name}: {shown(values)}; need a list")
+    raise ShapeError(f"{name}: {shown_value(values)}; need a list")
 
 
-def shown(value: object) -> str:
+def shown_value(value: object) -> str:
     """Return a value for an error message, on one short line: numbers and words themselves, of others their type."""
+    if isinstance(value, int) and abs(value) >= 2**63:
+        return f"an integer of {value.bit_length()} bits"
+    if isinstance(value, str):
+        value = value[:41]
     if value is None or isinstance(value, bool | int | float | complex | str | np.generic):
         text = repr(value)
         return text if len(text) <= 40 else f"{text[:40]}..."

@@ -4,9 +4,17 @@
 A message gives the name of the thing, what was got, and what is needed, on one line.
 """
 
+from imgu_ros.shown_text import shown
+
 
 class ImguError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base of every error that this package raises on purpose.
+
+    The names in its message come from outside: it is made fit for terminals and logs, see `shown`.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(shown(message))
 
 
 class ShapeError(ImguError, ValueError):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imgu_ros.arguments import shown
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import ShapeError
 
 #: An image, (H, W) or (H, W, C); uint8, uint16 or float32 in [0, 1]; `as_image` says what else is taken, and as what.
@@ -34,7 +34,7 @@ class _ChoiceMeta(EnumMeta):
     """What finds a member by its value; an array, which no member can be compared with, is no value."""
 
     def __call__(cls, value: Any, *arguments: Any, **options: Any) -> Any:
-        return super().__call__(shown(value) if isinstance(value, np.ndarray) else value, *arguments, **options)
+        return super().__call__(shown_value(value) if isinstance(value, np.ndarray) else value, *arguments, **options)
 
 
 class Choice(StrEnum, metaclass=_ChoiceMeta):
@@ -42,7 +42,7 @@ class Choice(StrEnum, metaclass=_ChoiceMeta):
 
     @classmethod
     def _missing_(cls, value: object) -> None:
-        raise ShapeError(f"{cls.__name__}: {shown(value)}; need one of {', '.join(cls)}")
+        raise ShapeError(f"{cls.__name__}: {shown_value(value)}; need one of {', '.join(cls)}")
 
 
 def as_points(points: ArrayLike, name: str = "points", minimum: int = 0) -> Points:
@@ -244,7 +244,7 @@ def _as_array(values: Any, name: str) -> NDArray[Any]:
     except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(f"{name}: {_one_line(error)}; need numbers") from None
     if array.dtype.kind == "O" and array.ndim == 0:
-        raise ShapeError(f"{name}: {shown(values)}; need numbers")
+        raise ShapeError(f"{name}: {shown_value(values)}; need numbers")
     return array
 
 

@@ -38,7 +38,8 @@ NUMERIC = {"numpy", "scipy", "cv2"}
 
 #: What the lower layers may import of the package itself; whoever is not listed may import all but ros/ and cli/.
 LAYERS = {
-    "errors": set[str](),
+    "shown_text": set[str](),
+    "errors": {"shown_text"},
     "nearest_name": set[str](),
     "arguments": {"errors"},
     "types": {"errors", "arguments"},
@@ -47,8 +48,19 @@ LAYERS = {
     "parameter_values": {"errors", "arguments", "types", "params", "parameter_checks", "nearest_name"},
     "vision": {"errors", "arguments", "types", "vision"},
     "perception": {"errors", "arguments", "types", "params", "parameter_checks", "vision", "perception"},
-    "codec": {"errors", "arguments", "types", "params", "nearest_name", "vision", "perception", "codec"},
+    "codec": {
+        "shown_text",
+        "errors",
+        "arguments",
+        "types",
+        "params",
+        "nearest_name",
+        "vision",
+        "perception",
+        "codec",
+    },
     "files": {
+        "shown_text",
         "errors",
         "arguments",
         "types",
@@ -60,12 +72,35 @@ LAYERS = {
         "codec",
         "files",
     },
-    "simulate": {"errors", "arguments", "types", "params", "nearest_name", "vision", "perception", "files", "simulate"},
-    "report": {"errors", "arguments", "types", "params", "vision", "perception", "files", "simulate", "report"},
+    "simulate": {
+        "shown_text",
+        "errors",
+        "arguments",
+        "types",
+        "params",
+        "nearest_name",
+        "vision",
+        "perception",
+        "files",
+        "simulate",
+    },
+    "report": {
+        "shown_text",
+        "errors",
+        "arguments",
+        "types",
+        "params",
+        "vision",
+        "perception",
+        "files",
+        "simulate",
+        "report",
+    },
 }
 
 #: What a layer may import from outside the standard library, where that is limited.
 THIRD_PARTY = {
+    "shown_text": set[str](),
     "errors": set[str](),
     "nearest_name": set[str](),
     "arguments": {"numpy"},

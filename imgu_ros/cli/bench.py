@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
     from imgu_ros.bench.machine import Machine, ProcessorUse
@@ -87,14 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.out:  # what is measured is kept, whatever happens to the rest
                 _write_json(arguments, machine, use, rows)
     where = f"{machine.described()}\n{use.described() if use else 'what else the machine did is not known'}"
-    print(where)
-    print()
-    print(tables(rows, markdown=arguments.markdown))
+    say(*where.split("\n"), "", *tables(rows, markdown=arguments.markdown).split("\n"))
     if arguments.out:
         _write_rest(arguments.out, where, rows)
-        print(
-            f"\n{arguments.out}: {', '.join(name for name in (JSON, TABLE, PLOT) if (arguments.out / name).exists())}"
-        )
+        say("", f"{arguments.out}: {', '.join(n for n in (JSON, TABLE, PLOT) if (arguments.out / n).exists())}")
     return 0
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
     from imgu_ros.cli.board_views import BoardViews, RefusedPicture
@@ -77,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     calibration = calibrate(
         board.corners(), [view.corners for view in found.views], found.width, found.height, arguments.model
     )
-    print(described(calibration, found, board))
+    say(*described(calibration, found, board).split("\n"))
     write_camera_info(arguments.out, with_covariance(calibration.camera, calibration.covariance), arguments.name)
     if arguments.json:
         from imgu_ros.files.text_files import write_text
@@ -87,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         from imgu_ros.report.calibration import draw_calibration
 
         draw_calibration(arguments.picture, calibration, [view.corners for view in found.views])
-    print(f"\n{arguments.out}: use it with -p camera.info_file:={arguments.out}, in imgu replay as in imgu node")
+    say("", f"{arguments.out}: use it with -p camera.info_file:={arguments.out}, in imgu replay as in imgu node")
     return 0
 
 

@@ -11,6 +11,7 @@ import argparse
 from pathlib import Path
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import say
 from imgu_ros.errors import FileError, ParameterError
 
 HELP = "simulate a Bayer bag, replay it, and report the accuracy"
@@ -42,14 +43,14 @@ def run(arguments: argparse.Namespace) -> int:
     _claim(arguments.out)
     bag, results = arguments.out / "bag", arguments.out / "replay"
     simulation = Simulation(frames=arguments.frames)
-    print(
+    say(
         f"simulating {simulation.frames} frames of {simulation.width} x {simulation.height}, Bayer, into {bag}",
         flush=True,
     )
     with Progress("simulate") as progress:
         record_simulation(bag, simulation, overwrite=True, on_progress=progress)
     parameters = parameters_of(arguments, read_parameter_file(bag / PARAMETER_FILE))
-    print(f"replaying it into {results}", flush=True)
+    say(f"replaying it into {results}", flush=True)
     with Progress("replay") as progress:
         summary = replay(
             [bag],
@@ -60,8 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
             on_progress=progress,
             on_warning=lambda text: progress.say(f"imgu: warning: {text}"),
         )
-    print(f"\n{accuracy_table(summary)}\n")
-    print(f"The report, for any browser: {(results / 'report.html').resolve().as_uri()}")
+    say("", *accuracy_table(summary).split("\n"), "")
+    say(f"The report, for any browser: {(results / 'report.html').resolve().as_uri()}")
     return 0
 
 

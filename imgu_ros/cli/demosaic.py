@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import warn
 from imgu_ros.errors import FileError, ParameterError
 
 if TYPE_CHECKING:
@@ -91,7 +92,6 @@ def _read_raw(arguments: argparse.Namespace) -> Image:
         from imgu_ros.files.images import read_raw_image
 
         return read_raw_image(arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype])
-    from imgu_ros.cli.warning import warn
     from imgu_ros.files.images import read_image_file
 
     try:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import say, warn
 from imgu_ros.errors import FileError, ParameterError
 
 HELP = "smooth an image file, convolve it, or find its edges"
@@ -67,7 +68,6 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.output.absolute().parent.is_dir():
         raise FileError(f"{arguments.output}: its folder does not exist; need a place that can be written")
     from imgu_ros.cli.filtering import FilterOptions, filtered
-    from imgu_ros.cli.warning import warn
     from imgu_ros.files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.method == "kernel":
         from imgu_ros.cli.filtering import described_kernel
 
-        print(described_kernel(arguments.kernel))
+        say(*described_kernel(arguments.kernel).split("\n"))
     write_image(
         arguments.output,
         filtered(image, arguments.method, FilterOptions(**given), parameters.raw.grey_weights),

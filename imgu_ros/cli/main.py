@@ -12,8 +12,10 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
+from imgu_ros.cli.terminal import Parser, fail, let_streams_print_everything, say, tell
 from imgu_ros.errors import ImguError
 from imgu_ros.nearest_name import nearest_name
+from imgu_ros.shown_text import quoted
 
 #: Every command and the module that does it. A module has `HELP`, `add_arguments(parser)` and `run(arguments)`,
 #: and imports nothing heavy before `run`.
@@ -51,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     141 when the reader of the output went away (as if by SIGPIPE)
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    let_streams_print_everything()
     # What OpenCV warns of (a cut PNG) becomes an error that says more. It reads this when it is imported.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     # The chain's matrices are small: a second thread of BLAS gains nothing, and spins on a core that others need.
@@ -62,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImguError as error:
         return _failed(str(error))
     except KeyboardInterrupt:
-        print("imgu: interrupted", file=sys.stderr)
+        tell("imgu: interrupted")
         return INTERRUPTED
     except BrokenPipeError:
         # What is still buffered would raise again when the interpreter flushes stdout at exit.
@@ -90,7 +93,7 @@ def _run(arguments: list[str]) -> int:
             return _unknown_command(name)
         # Only the module that is asked for is imported.
         module = importlib.import_module(COMMANDS[name])
-        parser = argparse.ArgumentParser(
+        parser = Parser(
             prog=f"imgu {name}",
             description=module.__doc__ or module.HELP,
             formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -110,7 +113,7 @@ def _parsed_and_run(module: ModuleType, parser: argparse.ArgumentParser, argumen
 
 
 def _top_level(arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="imgu",
         description="From raw Bayer frames to metric camera poses: live, from bags, and from files.",
         epilog="`imgu COMMAND --help` describes a command.",
@@ -127,7 +130,7 @@ def _top_level(arguments: list[str]) -> int:
     if parsed.version:
         from imgu_ros.report.versions import package_version
 
-        print(f"imgu_ros {package_version()}")
+        say(f"imgu_ros {package_version()}")
         return OK
     parser.print_help(sys.stderr)
     return USAGE
@@ -136,12 +139,12 @@ def _top_level(arguments: list[str]) -> int:
 def _unknown_command(name: str) -> int:
     near = nearest_name(name, COMMANDS)
     hint = f" (did you mean {near}?)" if near else ""
-    print(f"imgu: error: {name!r} is no command{hint}; need one of {', '.join(COMMANDS)}", file=sys.stderr)
+    fail(f"{quoted(name)} is no command{hint}; need one of {', '.join(COMMANDS)}")
     return USAGE
 
 
 def _failed(reason: str) -> int:
-    print(f"imgu: error: {' '.join(reason.split())}", file=sys.stderr)
+    fail(reason)
     return FAILED
 
 

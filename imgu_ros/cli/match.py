@@ -6,12 +6,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import fail, say, warn
 
 if TYPE_CHECKING:
     from imgu_ros.params import Parameters
@@ -59,7 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the chain on the image, and report."""
     parameters = _with_target(parameters_of(arguments), arguments)
     _check_outputs(arguments)
-    from imgu_ros.cli.warning import warn
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.perception.chain import Chain
     from imgu_ros.perception.size_checks import SizeChecks
@@ -73,10 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
     found = result.targets[0]
     for line in (frame.camera_reason, *result.camera_remarks):
         if line:
-            print(f"imgu: warning: {line}", file=sys.stderr)
-    print(described(result))
+            warn(line)
+    say(*described(result).split("\n"))
     for warning in SizeChecks(targets).add(result):
-        print(f"imgu: warning: {warning}", file=sys.stderr)
+        warn(warning)
     if arguments.json:
         from imgu_ros.files.text_files import write_text
 
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         _write_warped(arguments, result, targets[0].size)
     if found.status.found:
         return 0
-    print(f"imgu: error: {arguments.image}: {found.name} not found: {found.reason}", file=sys.stderr)
+    fail(f"{arguments.image}: {found.name} not found: {found.reason}")
     return 1
 
 
@@ -228,7 +227,6 @@ def _with_transfer(parameters: Parameters, frame: Frame) -> Parameters:
 
 def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
     from imgu_ros.cli.picture_layout import picture_layout
-    from imgu_ros.cli.warning import warn
     from imgu_ros.files.images import read_image_file
     from imgu_ros.perception.frame import Frame
     from imgu_ros.vision.formation.layout import RawImage

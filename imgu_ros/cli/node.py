@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import sys
 
+from imgu_ros.cli.terminal import fail, say
 from imgu_ros.errors import ParameterError
 from imgu_ros.nearest_name import nearest_name
+from imgu_ros.shown_text import quoted
 
 HELP = "run a live node"
 
@@ -44,24 +45,25 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.print_dds_profile:
         from imgu_ros.ros.middleware import profile_path
 
-        print(profile_path())
+        say(profile_path())
         return 0
     if arguments.name is None:
-        print("imgu: error: no node given; need one of " + ", ".join(NODES), file=sys.stderr)
+        fail("no node given; need one of " + ", ".join(NODES))
         return 2
     if arguments.name not in NODES:
-        print(f"imgu: error: {_unknown(arguments.name)}", file=sys.stderr)
+        fail(_unknown(arguments.name))
         return 2
     if "-h" in arguments.rest or "--help" in arguments.rest:
-        print(
-            f"usage: imgu node {arguments.name} [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] [--ros-args ...]\n"
+        say(
+            f"usage: imgu node {arguments.name} [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] [--ros-args ...]",
+            "",
+            "`imgu params` lists the parameters.",
         )
-        print("`imgu params` lists the parameters.")
         return 0
     try:
         ros_arguments = ros_arguments_of(arguments.rest)
     except ParameterError as error:
-        print(f"imgu: error: {error}", file=sys.stderr)
+        fail(str(error))
         return 2
 
     from imgu_ros.ros.middleware import set_profile
@@ -114,4 +116,5 @@ _ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "--log-level"
 
 def _unknown(name: str) -> str:
     near = nearest_name(name, NODES)
-    return f"{name!r} is no node{f' (did you mean {near}?)' if near else ''}; need one of {', '.join(NODES)}"
+    hint = f" (did you mean {near}?)" if near else ""
+    return f"{quoted(name)} is no node{hint}; need one of {', '.join(NODES)}"

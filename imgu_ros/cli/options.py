@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from imgu_ros.cli.terminal import warn
 
 if TYPE_CHECKING:
     from imgu_ros.params import Parameters
@@ -72,7 +73,7 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
 
         check_encoding(parameters.raw.encoding)
     for line in given.warnings():
-        print(f"imgu: warning: {line}", file=sys.stderr)
+        warn(line)
     only = arguments.used_parameters
     for name in overridden:
         if only and not any(name == one or name.startswith(f"{one}.") for one in only):

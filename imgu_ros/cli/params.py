@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import textwrap
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,13 +41,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.yaml:
         from imgu_ros.files.parameter_files import parameter_file_text
 
-        print(parameter_file_text(parameter_values(parameters), [known.name for known in chosen]), end="")
+        # For programs: exact, where the rest is for people.
+        sys.stdout.write(parameter_file_text(parameter_values(parameters), [known.name for known in chosen]))
         return 0
     if arguments.markdown:
-        print(reference_page(chosen), end="")
+        sys.stdout.write(reference_page(chosen))
         return 0
     for known in chosen:
-        print(described(known))
+        say(*described(known).split("\n"))
     return 0
 
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
+
+from imgu_ros.cli.terminal import say, tell
 
 HELP = "publish a bag on live topics"
 
@@ -52,16 +53,11 @@ def run(arguments: argparse.Namespace) -> int:
                 timeout_s=arguments.timeout,
             )
             ros_arguments = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
-            report = play(arguments.bags, options, ros_arguments, stop, _say)
+            report = play(arguments.bags, options, ros_arguments, stop, tell)
         except Stopped:
             return 0
-    for line in report.lines():
-        print(line)
+    say(*report.lines())
     return 0
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _positive(text: str) -> float:

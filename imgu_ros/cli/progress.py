@@ -8,6 +8,9 @@ import time
 from types import TracebackType
 from typing import Any, Self
 
+from imgu_ros.cli.terminal import tell
+from imgu_ros.shown_text import shown
+
 _LINE_EVERY_S = 5.0
 
 
@@ -52,9 +55,9 @@ class Progress:
     def say(self, text: str) -> None:
         """Print a line on stderr without tearing the bar."""
         if self._bar is None:
-            print(text, file=sys.stderr, flush=True)
+            tell(text)
         else:
-            self._bar.write(text, file=sys.stderr)
+            self._bar.write(shown(text), file=sys.stderr)
 
     def _advance_bar(self) -> None:
         if self._bar is None:
@@ -68,4 +71,4 @@ class Progress:
 
     def _line(self) -> None:
         of_total = f" of {self._total}" if self._total else ""
-        print(f"{self._label}: {self._done}{of_total} {self._unit}", file=sys.stderr, flush=True)
+        tell(f"{self._label}: {self._done}{of_total} {self._unit}")

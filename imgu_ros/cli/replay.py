@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
     from imgu_ros.report.summary import Percentiles, Summary, TargetSummary
@@ -50,8 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
             on_progress=progress,
             on_warning=lambda text: progress.say(f"imgu: warning: {text}"),
         )
-    print(accuracy_table(summary))
-    print(f"\n{arguments.out / 'report.html'}")
+    say(*accuracy_table(summary).split("\n"), "", arguments.out / "report.html")
     return 0
 
 

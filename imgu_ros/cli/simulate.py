@@ -17,6 +17,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from imgu_ros.cli.terminal import say, warn
+
 if TYPE_CHECKING:
     from imgu_ros.bags.recording import BagFormat
     from imgu_ros.perception.targets import TargetImage
@@ -109,16 +111,16 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.out, simulation, bag_format, targets, overwrite=arguments.overwrite, on_progress=progress
         )
     out = arguments.out
-    print(
-        f"{out}: {simulation.frames} frames of {simulation.width}x{simulation.height}, {bag_format.encoding}; ", end=""
+    say(
+        f"{out}: {simulation.frames} frames of {simulation.width}x{simulation.height}, {bag_format.encoding}; "
+        f"{len(targets)} target{'s' * (len(targets) > 1)}, {len(truths)} true poses"
     )
-    print(f"{len(targets)} target{'s' * (len(targets) > 1)}, {len(truths)} true poses")
     if simulation.capture.f_number:
         from imgu_ros.simulate.lens import described_lens
         from imgu_ros.simulate.sequence import camera_of
 
-        print(described_lens(simulation.capture, camera_of(simulation)))
-    print(f"imgu replay {out} --params-file {out / PARAMETER_FILE} --truth {out / TRUTH_FILE} --out DIR")
+        say(*described_lens(simulation.capture, camera_of(simulation)).split("\n"))
+    say(f"imgu replay {out} --params-file {out / PARAMETER_FILE} --truth {out / TRUTH_FILE} --out DIR")
     return 0
 
 
@@ -212,7 +214,6 @@ def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
         return default_targets(count, arguments.seed, arguments.width_m)
     if arguments.targets is not None:
         raise ParameterError(f"targets: {arguments.targets} with --template; need one or the other")
-    from imgu_ros.cli.warning import warn
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.params import TargetsParameters
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from imgu_ros.cli.filter import BORDERS, kernel_of
 from imgu_ros.cli.match import INTERPOLATIONS
+from imgu_ros.cli.terminal import warn
 from imgu_ros.errors import FileError, ParameterError
 
 if TYPE_CHECKING:
@@ -43,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, warp, write."""
     _check(arguments)
-    from imgu_ros.cli.warning import warn
     from imgu_ros.files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)

@@ -17,6 +17,7 @@ from imgu_ros.codec.image import data_bytes
 from imgu_ros.codec.picture_decoding import decode_picture_file
 from imgu_ros.codec.picture_files import FileKind, is_picture_file
 from imgu_ros.errors import EncodingError
+from imgu_ros.shown_text import NAME_CHARACTERS
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
@@ -43,7 +44,8 @@ def decode_compressed_image(message: Any, encoding: str = "") -> RawImage:
         `encoding`.
     """
     data = data_bytes(message)
-    text = str(message.format)
+    # Nothing but the start of an endless one is looked at.
+    text = str(message.format)[:NAME_CHARACTERS]
     if not is_picture_file(data):
         raise EncodingError(f"compressed image: {_why_no_picture(data, text)}")
     try:

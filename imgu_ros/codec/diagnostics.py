@@ -10,6 +10,7 @@ from typing import Any
 
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
+from imgu_ros.shown_text import shown
 
 
 class Level(IntEnum):
@@ -32,7 +33,7 @@ class HealthEntry:
 
 
 def diagnostics_message(make: MessageFactory, stamp_ns: int, entries: Sequence[HealthEntry]) -> Any:
-    """Return a diagnostic_msgs/DiagnosticArray; figures that are floats get three decimals."""
+    """Return a diagnostic_msgs/DiagnosticArray; figures that are floats get three decimals, text is `shown`."""
     return make(
         "diagnostic_msgs/msg/DiagnosticArray",
         header=header_message(make, Header(stamp_ns, "")),
@@ -41,7 +42,7 @@ def diagnostics_message(make: MessageFactory, stamp_ns: int, entries: Sequence[H
                 "diagnostic_msgs/msg/DiagnosticStatus",
                 level=int(entry.level),
                 name=entry.name,
-                message=entry.message,
+                message=shown(entry.message),
                 values=[
                     make("diagnostic_msgs/msg/KeyValue", key=key, value=_text(value))
                     for key, value in entry.values.items()
@@ -53,4 +54,4 @@ def diagnostics_message(make: MessageFactory, stamp_ns: int, entries: Sequence[H
 
 
 def _text(value: object) -> str:
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
+    return f"{value:.3f}" if isinstance(value, float) else shown(str(value))

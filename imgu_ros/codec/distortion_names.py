@@ -46,7 +46,8 @@ def named_lens(name: str, given: tuple[float, ...]) -> Lens:
     >>> named_lens("none", ()).coefficients
     ()
     """
-    key = re.sub(r"[^a-z0-9]", "", name.lower())
+    # The name comes from outside: of an endless one the start counts.
+    key = re.sub(r"[^a-z0-9]", "", name[:80].lower())
     shown = repr(name[:40])
     count = len(given)
     while count and given[count - 1] == 0:

@@ -42,7 +42,6 @@ class Encoding:
         return self.dtype.itemsize * self.channels
 
 
-@lru_cache(maxsize=256)
 def encoding_named(name: str) -> Encoding:
     """Return the encoding called `name`, in whatever case.
 
@@ -54,6 +53,12 @@ def encoding_named(name: str) -> Encoding:
     EncodingError
         If the chain cannot read it; the message names the nearest known one, when there is one.
     """
+    # The name comes from outside: of an endless one nothing but the start is looked at, kept or shown.
+    return _encoding_named(name[:_LONGEST_NAME])
+
+
+@lru_cache(maxsize=256)
+def _encoding_named(name: str) -> Encoding:
     folded = name.strip().lower()
     if folded in _NAMED:
         return _NAMED[folded]
@@ -63,7 +68,6 @@ def encoding_named(name: str) -> Encoding:
         layout = PixelLayout(ColorModel.BANDS)
         return Encoding(generic[0], np.dtype(_DEPTHS[generic["depth"]]), channels, layout)
     known = [*_NAMED, *(f"{depth}C{n}" for depth in _DEPTHS for n in (1, 2, 3, 4))]
-    # The name comes from outside: only the start of an endless one is shown.
     start = name[:40]
     near = nearest_name(start, known)
     hint = f"nearest known: {near!r}" if near else "need a name such as mono8, rgb8, bayer_rggb8, yuyv, nv12 or 8UC1"
@@ -75,7 +79,6 @@ def encoding_names() -> tuple[str, ...]:
     return (*_NAMED, *(f"{depth}C{n}" for depth in _DEPTHS for n in (1, 3)))
 
 
-@lru_cache(maxsize=256)
 def is_image_encoding(name: str) -> bool:
     """Whether the chain can read images of this encoding."""
     try:
@@ -107,6 +110,7 @@ def encoding_for(dtype: Any, channels: int) -> str:
     return found
 
 
+_LONGEST_NAME = 80
 #: At most four digits: no one has more bands, and Python refuses to convert an endless number.
 _GENERIC = re.compile(r"(?P<depth>8U|8S|16U|16S|32S|32F|64F)(C(?P<channels>[1-9][0-9]{0,3}))?")
 _DEPTHS = {"8U": "u1", "8S": "i1", "16U": "u2", "16S": "i2", "32S": "i4", "32F": "f4", "64F": "f8"}

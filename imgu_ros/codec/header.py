@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import Any
 
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.errors import EncodingError
+
+#: Characters of a frame_id that goes on as it is.
+LONGEST_FRAME_ID = 1024
+_KEPT = 100
 
 _SECOND_NS = 1_000_000_000
 _INT32 = range(-(2**31), 2**31)
@@ -33,8 +38,14 @@ def decode_header(message: Any) -> Header:
 
 
 def frame_name(given: str) -> str:
-    """Return a frame's name without leading slashes."""
-    return given.lstrip("/")
+    """Return a frame's name without leading slashes; of an endless one its two ends, its length and its CRC-32.
+
+    What differs stays apart, and no message, table or log gets a name of a hundred megabytes.
+    """
+    if len(given) <= LONGEST_FRAME_ID:
+        return given.lstrip("/")
+    checksum = zlib.crc32(given.encode("utf-8", "surrogatepass"))
+    return f"{given[:_KEPT].lstrip('/')}...({len(given)} characters, CRC-32 {checksum:08x})...{given[-_KEPT:]}"
 
 
 def header_message(make: MessageFactory, header: Header) -> Any:

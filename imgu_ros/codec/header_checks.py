@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from imgu_ros.codec.header import decode_header, frame_name
+from imgu_ros.shown_text import quoted
 
 #: As in the chain: stamps that jump back by more belong to another recording, or to the same one played again.
 _JUMP_NS = 1_000_000_000
@@ -58,19 +59,20 @@ class HeaderChecks:
     def add_image(self, message: Any) -> None:
         """Look at the next image."""
         self._images += 1
-        frame_id = str(message.header.frame_id)
-        self._frame_id = frame_id
-        if frame_id.startswith("/"):
-            self._note(Oddity.SLASH, frame_id)
-        if not frame_name(frame_id):
-            self._note(Oddity.NO_FRAME, frame_id)
-        self._look_at_stamp(decode_header(message).stamp_ns)
+        given, header = str(message.header.frame_id), decode_header(message)
+        self._frame_id = header.frame_id
+        if given.startswith("/"):
+            out = quoted(header.frame_id)
+            self._note(Oddity.SLASH, f"{quoted(given)}; tf2 refuses a leading slash: {out} goes out")
+        if not header.frame_id:
+            self._note(Oddity.NO_FRAME, "")
+        self._look_at_stamp(header.stamp_ns)
 
     def add_camera_info(self, message: Any) -> None:
         """Look at the next camera_info."""
-        frame_id = str(message.header.frame_id)
-        if self._frame_id is not None and frame_name(frame_id) != frame_name(self._frame_id):
-            self._note(Oddity.OTHER_FRAME, frame_id)
+        frame_id = frame_name(str(message.header.frame_id))
+        if self._frame_id is not None and frame_id != self._frame_id:
+            self._note(Oddity.OTHER_FRAME, quoted(frame_id))
 
     def told(self, camera_frame: str = "", *, lately: bool = False) -> dict[Oddity, str]:
         """Return a line for people about each oddity.
@@ -121,7 +123,7 @@ class HeaderChecks:
         share = f"{self._counts[oddity]} of {self._images} images"
         match oddity:
             case Oddity.SLASH:
-                return f"frame_id of {topic}: {detail!r}; tf2 refuses a leading slash: {frame_name(detail)!r} goes out"
+                return f"frame_id of {topic}: {detail}"
             case Oddity.NO_FRAME:
                 return (
                     f"frame_id of {topic} is empty: poses are in no frame, nothing can go to /tf; set frames.camera "
@@ -129,8 +131,8 @@ class HeaderChecks:
                 )
             case Oddity.OTHER_FRAME:
                 return (
-                    f"frame_id of {self._info_topic}: {detail!r}, of {topic}: {self._frame_id!r}; the images' goes "
-                    "out; set frames.camera if it is wrong"
+                    f"frame_id of {self._info_topic}: {detail}, of {topic}: {quoted(self._frame_id or '')}; the "
+                    "images' goes out; set frames.camera if it is wrong"
                 )
             case Oddity.ZERO:
                 return (

@@ -15,6 +15,7 @@ from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
 from imgu_ros.codec.image import data_bytes
 from imgu_ros.errors import EncodingError
+from imgu_ros.shown_text import quoted
 
 #: A structured array, (N,): one row for each point, one field for each column.
 Table = NDArray[np.void]
@@ -114,13 +115,15 @@ def _dtype(message: Any, point_step: int) -> np.dtype[Any]:
         code = _DTYPES.get(int(field.datatype))
         if code is None or name in names or name == "" or count < 0:
             raise EncodingError(
-                f"point cloud: field {name!r}, datatype {field.datatype}, count {count}; "
+                f"point cloud: field {quoted(name)}, datatype {field.datatype}, count {count}; "
                 f"need a new name, datatype 1 to {len(_DTYPES)}, count >= 0"
             )
         # A count of 0 is what drivers leave where they mean one.
         base = np.dtype(order + code)
         if not 0 <= offset <= point_step - base.itemsize * max(1, count):
-            raise EncodingError(f"point cloud: field {name!r} at byte {offset}; need it within {point_step} bytes")
+            raise EncodingError(
+                f"point cloud: field {quoted(name)} at byte {offset}; need it within {point_step} bytes"
+            )
         names.append(name)
         formats.append(base if count <= 1 else np.dtype((base, (count,))))
         offsets.append(offset)

@@ -10,6 +10,7 @@ import numpy as np
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
 from imgu_ros.perception.result import PoseStatus, Result, Stage, Status, TargetResult
+from imgu_ros.shown_text import shown
 
 #: diagnostic_msgs/DiagnosticStatus.level
 OK, WARN, ERROR = 0, 1, 2
@@ -47,7 +48,7 @@ def _entry(make: MessageFactory, header: Header, result: Result, target: TargetR
         "diagnostic_msgs/msg/DiagnosticStatus",
         level=level,
         name=target.name,
-        message=f"{words}: {reason}" if reason else words,
+        message=shown(f"{words}: {reason}" if reason else words),
         hardware_id=header.frame_id,
         values=[make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()],
     )

@@ -12,7 +12,7 @@ from imgu_ros.errors import FileError
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a whole file.
+    """Write a whole file; characters that are none in UTF-8 (half a pair) are written as escapes.
 
     Raises
     ------
@@ -20,7 +20,7 @@ def write_text(path: Path, text: str) -> None:
         If the file cannot be written.
     """
     try:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise _refused(path, error) from None
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jinja2
+from markupsafe import Markup
 
 from imgu_ros.files.text_files import write_text
 from imgu_ros.params import declarations
@@ -19,6 +20,7 @@ from imgu_ros.report.digits import figures
 from imgu_ros.report.samples import Sample
 from imgu_ros.report.summary import Summary
 from imgu_ros.report.table import FrameTable
+from imgu_ros.shown_text import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +33,7 @@ _MOST_TRAJECTORIES = 6
 class Picture:
     """A picture in the page: data URI and the words beside it."""
 
-    uri: str
+    uri: Markup
     title: str
     caption: str
 
@@ -53,6 +55,7 @@ def write_report(path: Path, table: FrameTable, summary: Summary, samples: Seque
         loader=jinja2.PackageLoader("imgu_ros.report"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
+        finalize=lambda value: shown(value) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -105,5 +108,6 @@ def _sample_picture(sample: Sample, table: FrameTable) -> Picture:
     return Picture(_uri("image/jpeg", sample.jpeg), f"frame {sample.index}, {seconds:.2f} s", sample.caption)
 
 
-def _uri(media_type: str, data: bytes) -> str:
-    return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
+def _uri(media_type: str, data: bytes) -> Markup:
+    # Ours, and not to be shortened.
+    return Markup(f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}")

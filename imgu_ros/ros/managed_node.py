@@ -19,6 +19,7 @@ from imgu_ros.ros.middleware import profile_line
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.parameter_sections import unheeded_parameters
 from imgu_ros.ros.parameters import ParameterServer
+from imgu_ros.ros.plain_logger import PlainLogger
 from imgu_ros.ros.process import run_node
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.transitions import refuse_impossible_transitions
@@ -58,6 +59,7 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
     """
 
     _input: InputT
+    _plain_logger: PlainLogger | None = None
 
     def __init__(self, name: str, stop: StopSignal) -> None:
         super().__init__(name, enable_logger_service=True)
@@ -75,6 +77,12 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
         self._slow_services = MutuallyExclusiveCallbackGroup()
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/reset", self._on_reset)
+
+    def get_logger(self) -> PlainLogger:
+        """Return the node's logger; what it logs acts on no terminal."""
+        if self._plain_logger is None:
+            self._plain_logger = PlainLogger(super().get_logger().name)
+        return self._plain_logger
 
     def start(self) -> None:
         """Configure and activate when `autostart` says so.

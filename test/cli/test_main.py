@@ -82,7 +82,7 @@ def test_wrong_usage_exits_2(argv: list[str], said: str, capsys: pytest.CaptureF
 def test_an_error_is_one_line(command, capsys: pytest.CaptureFixture[str]) -> None:
     command(ParameterError("a.b: 3;\nneed 4"))
     assert main(["fake"]) == 1
-    assert capsys.readouterr().err == "imgu: error: a.b: 3; need 4\n"
+    assert capsys.readouterr().err == "imgu: error: a.b: 3;\\nneed 4\n"
 
 
 def test_a_system_error_with_a_file_is_one_line(command, capsys: pytest.CaptureFixture[str]) -> None:

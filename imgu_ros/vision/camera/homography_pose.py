@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.arguments import require_type, shown
+from imgu_ros.arguments import require_type, shown_value
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.camera.calibration_test import LEAST_NOISE_PX, CalibrationTest
@@ -96,7 +96,7 @@ def poses_of_homography(
     ([0.0, 0.0, 2.0], True)
     """
     if not isinstance(camera, Camera | None):
-        raise ShapeError(f"camera: {shown(camera)}; need a Camera, or None")
+        raise ShapeError(f"camera: {shown_value(camera)}; need a Camera, or None")
     require_type(homography, CondensedHomography, "homography")
     K = as_matrix(K, (3, 3), "K")
     src_from_plane = inverse3(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")

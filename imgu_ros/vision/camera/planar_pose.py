@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.arguments import as_number, require_type, shown
+from imgu_ros.arguments import as_number, require_type, shown_value
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Floats, Points, as_matrix, as_plane_points, as_points
 from imgu_ros.vision.camera.calibration_test import FREEDOM, LEAST_NOISE_PX, CalibrationTest
@@ -149,7 +149,7 @@ def weighed_poses(
     refuted_px = math.inf
     for start in starts:
         if not isinstance(start, RigidTransform):
-            raise ShapeError(f"starts: {shown(start)}; need RigidTransform objects")
+            raise ShapeError(f"starts: {shown_value(start)}; need RigidTransform objects")
         try:
             if found:
                 start_px = start_rms_px(start)

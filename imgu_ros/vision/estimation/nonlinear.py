@@ -14,7 +14,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from imgu_ros.arguments import shown
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Choice, Floats, as_matrix
 from imgu_ros.vision.estimation.linear import shape_of
@@ -130,12 +130,12 @@ def minimise(
     ([3.0], True)
     """
     if not (hasattr(problem, "linearise") and hasattr(problem, "step")):
-        raise ShapeError(f"problem: {shown(problem)}; need an object that linearises and steps")
+        raise ShapeError(f"problem: {shown_value(problem)}; need an object that linearises and steps")
     if loss is not None and not callable(loss):
-        raise ShapeError(f"loss: {shown(loss)}; need huber, cauchy or tukey of a scale, or None")
+        raise ShapeError(f"loss: {shown_value(loss)}; need huber, cauchy or tukey of a scale, or None")
     if not (isinstance(max_iterations, int | np.integer) and isinstance(tolerance, float | int) and tolerance < 1e100):
         raise ShapeError(
-            f"max_iterations, tolerance: {shown(max_iterations)}, {shown(tolerance)}; "
+            f"max_iterations, tolerance: {shown_value(max_iterations)}, {shown_value(tolerance)}; "
             "need an integer, and a number below 1e100"
         )
     method = Minimiser(method)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imgu_ros.arguments import as_integer, as_sequence, shown
+from imgu_ros.arguments import as_integer, as_sequence, shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, as_image
 
@@ -60,7 +60,7 @@ def site_mask(shape: tuple[int, int], pattern: BayerPattern, color: str) -> Imag
         If the shape is negative, or the pattern or the colour is unknown.
     """
     if not isinstance(color, str) or color not in ("r", "g", "b"):
-        raise ShapeError(f"color: {shown(color)}; need 'r', 'g' or 'b'")
+        raise ShapeError(f"color: {shown_value(color)}; need 'r', 'g' or 'b'")
     sides = [as_integer(side, "shape") for side in as_sequence(shape, "shape")]
     if len(sides) != 2 or not 0 <= min(sides) <= max(sides) <= _LONGEST_PX:
         raise ShapeError(f"shape: {sides}; need (height, width), up to {_LONGEST_PX} px")

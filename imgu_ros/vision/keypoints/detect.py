@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from imgu_ros.arguments import as_flag, as_integer, shown
+from imgu_ros.arguments import as_flag, as_integer, shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image
 from imgu_ros.vision.keypoints.dog import SIFT_SIGMA_PX, detect_dog
@@ -75,7 +75,7 @@ def detect(
     """
     even_scales = as_flag(even_scales, "even_scales")
     if not isinstance(pyramid, Pyramid):
-        raise ShapeError(f"pyramid: {shown(pyramid)}; need a Pyramid, which build_pyramid makes of an image")
+        raise ShapeError(f"pyramid: {shown_value(pyramid)}; need a Pyramid, which build_pyramid makes of an image")
     max_count = as_integer(max_count, "max_count")
     if max_count < 1:
         raise ShapeError(f"max_count: {max_count}; need at least 1")

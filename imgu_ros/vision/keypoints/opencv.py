@@ -10,7 +10,7 @@ from operator import attrgetter
 import cv2
 import numpy as np
 
-from imgu_ros.arguments import as_flag, as_number, as_sequence, shown
+from imgu_ros.arguments import as_flag, as_number, as_sequence, shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Points, as_matrix, as_points
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints
@@ -60,7 +60,9 @@ def positions(found: Sequence[cv2.KeyPoint]) -> Points:
 def require_describable(corners: Corners) -> None:
     """Raise ShapeError when one of the `corners` cannot be handed to OpenCV: absurd ones make it write astray."""
     if not isinstance(corners, Corners | Keypoints):
-        raise ShapeError(f"corners: {shown(corners)}; need Corners (corners_from_opencv makes them of cv2.KeyPoint)")
+        raise ShapeError(
+            f"corners: {shown_value(corners)}; need Corners (corners_from_opencv makes them of cv2.KeyPoint)"
+        )
     xy = as_points(corners.xy, "corners.xy")
     scale, _, _ = (as_matrix(getattr(corners, n), (len(xy),), f"corners.{n}") for n in ("scale", "angle", "response"))
     if len(xy) and not np.abs(xy).max() < _LARGEST_PX:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from imgu_ros.arguments import shown
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_matrix
 from imgu_ros.vision.estimation.covariance import window_correlation
@@ -163,9 +163,11 @@ class Patches:
         if first is None:
             first = len(self.chosen)
         elif not (isinstance(first, int | np.integer) and first is not True and 0 <= first <= len(self.chosen)):
-            raise ShapeError(f"first: {shown(first)}; need 0 to {len(self.chosen)}")
+            raise ShapeError(f"first: {shown_value(first)}; need 0 to {len(self.chosen)}")
         if not isinstance(bend, LocalBend | None) or not isinstance(sheet, Sheet | None):
-            raise ShapeError(f"bend, sheet: {shown(bend)}, {shown(sheet)}; need a LocalBend or None, a Sheet or None")
+            raise ShapeError(
+                f"bend, sheet: {shown_value(bend)}, {shown_value(sheet)}; need a LocalBend or None, a Sheet or None"
+            )
         if sheet is not None and (len(sheet.origins) < first or picture.shape[1] != sheet.side):
             raise ShapeError(
                 f"sheet: {len(sheet.origins)} squares of {sheet.side} px, picture {picture.shape}; "

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imgu_ros.arguments import as_integer, shown
+from imgu_ros.arguments import as_integer, shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices, as_plain
 from imgu_ros.vision.descriptors.describe import DescriptorKind
@@ -112,7 +112,7 @@ def comparable_rows(src: Image, columns: int, dtype: type) -> Image:
     columns = as_integer(columns, "columns")
     src = checked_rows(src, "src")
     if not (isinstance(dtype, type) and dtype in (np.uint8, np.float32)):
-        raise ShapeError(f"dtype: {shown(dtype)}; need np.uint8 or np.float32")
+        raise ShapeError(f"dtype: {shown_value(dtype)}; need np.uint8 or np.float32")
     if src.shape[1] != columns or src.dtype != dtype:
         raise ShapeError(f"src: {src.shape[1]} x {src.dtype}; need {columns} x {np.dtype(dtype)}, as dst")
     return src

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.arguments import shown
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Floats, Image, as_image, as_points
 from imgu_ros.vision.processing.borders import Border, border_values, source_index
@@ -146,7 +146,7 @@ def checked_size(size: Sequence[int]) -> tuple[int, int]:
     try:
         width, height = size
     except (TypeError, ValueError):
-        raise ShapeError(f"size: {shown(size)}; need (width, height)") from None
+        raise ShapeError(f"size: {shown_value(size)}; need (width, height)") from None
     for side in (width, height):
         if isinstance(side, bool) or not isinstance(side, int | np.integer) or not 1 <= side <= MOST_SIDE_PX:
             raise ShapeError(f"size: {(width, height)!r}; need two integers, 1 to {MOST_SIDE_PX} px")

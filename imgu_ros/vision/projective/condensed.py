@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.arguments import shown
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.projective.fit import unscaled
@@ -119,7 +119,7 @@ def condensed_homography(
     """
     if not (isinstance(motions, PlaneMotion) and isinstance(start, Motion) and isinstance(min_points, int)):
         raise ShapeError(
-            f"motions, start, min_points: {shown(motions)}, {shown(start)}, {shown(min_points)}; "
+            f"motions, start, min_points: {shown_value(motions)}, {shown_value(start)}, {shown_value(min_points)}; "
             "need a PlaneMotion, a Motion and an integer"
         )
     displacements = as_points(displacements, "displacements")
@@ -127,7 +127,7 @@ def condensed_homography(
     if displacements.shape != by.shape[:2] or start.agreeing.shape != by.shape[:1] or by.shape[2] != 8:
         raise ShapeError(f"displacements: shape {displacements.shape}; need {by.shape[:2]}, of a projective motion")
     if usable is not None and not isinstance(usable, np.ndarray):
-        raise ShapeError(f"usable: {shown(usable)}; need {by.shape[:1]} bool")
+        raise ShapeError(f"usable: {shown_value(usable)}; need {by.shape[:1]} bool")
     if usable is not None and (usable.shape != by.shape[:1] or usable.dtype != bool):
         raise ShapeError(f"usable: shape {usable.shape} {usable.dtype}; need {by.shape[:1]} bool")
     if min_points < 5:

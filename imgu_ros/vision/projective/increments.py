@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.arguments import as_flag, shown
+from imgu_ros.arguments import as_flag, shown_value
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
 
@@ -135,7 +135,7 @@ class PlaneMotion:
         if count and not np.abs(displacements).max() < _LARGEST_PX:
             raise ShapeError(f"displacements: not finite, or too large; need less than {_LARGEST_PX:g} px")
         if not (isinstance(floor_px, float | int) and _SMALLEST_PX <= floor_px <= _LARGEST_PX):
-            raise ShapeError(f"floor_px: {shown(floor_px)}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
+            raise ShapeError(f"floor_px: {shown_value(floor_px)}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
             raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
@@ -146,7 +146,7 @@ class PlaneMotion:
         cauchy_rounds, rounds = _CAUCHY_ROUNDS, _CAUCHY_ROUNDS + _TUKEY_ROUNDS
         if before is not None:
             if not isinstance(before, Motion):
-                raise ShapeError(f"before: {shown(before)}; need a Motion, or None")
+                raise ShapeError(f"before: {shown_value(before)}; need a Motion, or None")
             rounds = _TUKEY_ROUNDS
             cauchy_rounds = 1
             if len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from imgu_ros.arguments import shown
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask, Points, as_floats, as_points
 
@@ -54,7 +54,9 @@ def smooth_misfit(
     (True, True)
     """
     if not isinstance(variance, float | int) or not isinstance(fitted, int):
-        raise ShapeError(f"variance, fitted: {shown(variance)}, {shown(fitted)}; need a number and an integer")
+        raise ShapeError(
+            f"variance, fitted: {shown_value(variance)}, {shown_value(fitted)}; need a number and an integer"
+        )
     points, residuals = as_points(points, "points"), as_points(residuals, "residuals")
     try:
         used = np.asarray(used)

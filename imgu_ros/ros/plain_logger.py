@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A logger that shows text from outside: no line acts on the terminal of the log, or is endless."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from rclpy.impl import rcutils_logger
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+from imgu_ros.shown_text import shown
+
+# rclpy keeps what a throttled line needs by the line's caller, which is not this file. It may not name such a list.
+getattr(rcutils_logger, "_internal_callers", []).append(os.path.realpath(__file__))
+
+
+class PlainLogger(RcutilsLogger):
+    """A node's logger whose messages go through `shown`."""
+
+    def log(self, message: str, severity: Any, **options: Any) -> bool:
+        """Log a message; see rclpy."""
+        return bool(super().log(shown(str(message)), severity, **options))
