@@ -14,9 +14,12 @@ import numpy as np
 from imgu_ros.errors import FileError
 from imgu_ros.files.text_files import csv_writer, open_for_writing
 from imgu_ros.perception.result import Result, Stage, TargetResult
+from imgu_ros.shown_text import as_cell, cell_text, shown
 from imgu_ros.types import Floats
 
 _IDENTITY = ("stamp_ns", "frame_id", "target", "status", "pose_status", "reason")
+#: Columns of text; they are written by `as_cell`.
+TEXT_COLUMNS = ("frame_id", "target", "reason")
 _COUNTS = ("n_keypoints", "n_matches", "n_inliers", "rms_px", "confirmed_share")
 H_COLUMNS = tuple(f"h{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 T_COLUMNS = ("tx", "ty", "tz")
@@ -56,7 +59,7 @@ class FramesWriter:
 
 
 def read_rows(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a `frames.csv`, as text by column.
+    """Yield the rows of a `frames.csv`, as text by column, that of `TEXT_COLUMNS` as it was before it was written.
 
     Raises
     ------
@@ -68,8 +71,11 @@ def read_rows(path: Path) -> Iterator[dict[str, str]]:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != COLUMNS:
                 raise FileError(f"{path}: columns {list(reader.fieldnames or ())[:4]}...; need those of frames.csv")
-            yield from reader
-    except (OSError, UnicodeDecodeError) as error:
+            for row in reader:
+                for column in TEXT_COLUMNS:
+                    row[column] = cell_text(row[column] or "")
+                yield row
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"{path}: {error}; need a frames.csv") from None
 
 
@@ -77,11 +83,11 @@ def _row(result: Result, target: TargetResult) -> list[str]:
     matches, estimate, pose = target.matches, target.homography, target.pose
     row = [
         str(result.frame.stamp_ns),
-        result.frame.frame_id,
-        target.name,
+        as_cell(result.frame.frame_id),
+        as_cell(target.name),
         target.status.value,
         target.pose_status.value,
-        " ".join((target.reason or result.reason).split()),
+        as_cell(shown(target.reason or result.reason)),
         _text(None if result.keypoints is None else len(result.keypoints)),
         _text(None if matches is None else len(matches.matches)),
         _text(None if estimate is None else int(np.count_nonzero(estimate.inliers))),

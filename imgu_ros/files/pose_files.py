@@ -15,6 +15,7 @@ from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.files.text_files import csv_writer, open_for_writing
 from imgu_ros.perception.result import PoseStatus, Result
+from imgu_ros.shown_text import as_cell
 
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
 
@@ -73,10 +74,11 @@ class PoseFiles:
                 numbers = " ".join(repr(float(value)) for value in target.pose.inverse().transform.numbers())
                 self._trajectories[target.name].write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
             elif target.pose_status is PoseStatus.AMBIGUOUS:
+                names = (as_cell(frame.frame_id), as_cell(target.name))
                 for number, pose in enumerate(target.solutions, 1):
                     values = np.concatenate(([pose.rms_px], pose.transform.numbers(), pose.covariance.ravel()))
                     texts = [repr(float(value)) for value in values]
-                    self._ambiguous.writerow([frame.stamp_ns, frame.frame_id, target.name, number, *texts])
+                    self._ambiguous.writerow([frame.stamp_ns, *names, number, *texts])
 
     def _open(self, path: Path) -> TextIO:
         try:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import FileError, ShapeError
 from imgu_ros.files.frames_csv import H_COLUMNS, Q_COLUMNS, T_COLUMNS
+from imgu_ros.shown_text import as_cell, cell_text
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform
@@ -61,7 +62,7 @@ def write_truth(path: Path, truths: Iterable[Truth]) -> None:
             for truth in truths:
                 numbers = [repr(float(x)) for x in truth.H.ravel()]
                 pose = [""] * 7 if truth.pose is None else [repr(float(x)) for x in truth.pose.numbers()]
-                writer.writerow([truth.stamp_ns, truth.target, *numbers, *pose])
+                writer.writerow([truth.stamp_ns, as_cell(truth.target), *numbers, *pose])
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
 
@@ -165,7 +166,7 @@ def _truth(row: dict[str, str], where: str) -> Truth:
         H = as_matrix(np.reshape([float(row[c]) for c in H_COLUMNS], (3, 3)), (3, 3), "H")
         known = all(row[c] for c in _POSE_COLUMNS)
         pose = rigid_transform([float(row[c]) for c in _POSE_COLUMNS], "pose") if known else None
-        return Truth(int(row["stamp_ns"]), row["target"], H, pose)
+        return Truth(int(row["stamp_ns"]), cell_text(row["target"]), H, pose)
     except ShapeError as error:
         raise FileError(f"{where}: {error}") from None
     except (TypeError, ValueError) as error:

@@ -32,6 +32,7 @@ from imgu_ros.perception.reasons import NO_SIZE, NOT_DUE, NOT_IN_VIEW, UNLIKELY,
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.targets import TargetImage, prepare_targets
 from imgu_ros.report.overlay import _status_text
+from imgu_ros.shown_text import as_cell, shown
 from imgu_ros.simulate.sequence import default_camera
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.types import Image
@@ -219,23 +220,39 @@ def test_numbers_are_those_of_the_error_where_counts_do_not_tell(
 
 
 @pytest.mark.parametrize(
-    "text", ['a "quoted" name, with commas', "two\nlines", "carriage\rreturn", "Größe 角度 \ud800"]
+    ("text", "cell"),
+    [
+        ('a "quoted" name, with commas', 'a "quoted" name, with commas'),
+        ("two\nlines", r"two\x0alines"),
+        ("carriage\rreturn", r"carriage\x0dreturn"),
+        ("Größe 角度 \ud800", r"Größe 角度 \ud800"),
+        ("=HYPERLINK(A1)", "'=HYPERLINK(A1)"),
+        ("+1", "'+1"),
+        ("-1", "'-1"),
+        ("@SUM(A1)", "'@SUM(A1)"),
+        ("\t=1", r"'\x09=1"),
+        ("\r=1", r"'\x0d=1"),
+        ("'quoted'", "''quoted'"),
+        ("\x1b[2J\u202e\0", r"\x1b[2J\u202e\x00"),
+        (r"back\slash", r"back\\slash"),
+    ],
 )
-def test_text_in_frames_csv_is_quoted(tmp_path: Path, text: str) -> None:
+def test_text_in_frames_csv_is_quoted(tmp_path: Path, text: str, cell: str) -> None:
     """Read back by our reader and by csv as spreadsheets do; a name from outside may be anything."""
     result = blank()
     target = replace(result.targets[0], name=text, reason=text)
     result = replace(result, frame=replace(result.frame, frame_id=text), targets=(target, target))
     with FramesWriter(tmp_path / "frames.csv") as writer:
         writer.write(result)
-    written = text.encode(errors="backslashreplace").decode()
-    for rows in (
-        list(read_rows(tmp_path / "frames.csv")),
-        list(csv.DictReader(io.StringIO((tmp_path / "frames.csv").read_bytes().decode(), newline=""), strict=True)),
+    data = (tmp_path / "frames.csv").read_bytes()
+    assert data.count(b"\n") == 3
+    for written, rows in (
+        (text, list(read_rows(tmp_path / "frames.csv"))),
+        (cell, list(csv.DictReader(io.StringIO(data.decode(), newline=""), strict=True))),
     ):
         assert len(rows) == 2
         for row in rows:
             assert tuple(row) == COLUMNS
             assert row["target"] == row["frame_id"] == written
-            assert row["reason"] == " ".join(written.split())
             assert row["n_matches"] == "0"
+        assert rows[0]["reason"] == (shown(text) if written == text else as_cell(shown(text)))
