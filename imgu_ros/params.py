@@ -394,7 +394,7 @@ class LimitsParameters:
         maximum=1_000_000,
     )
     schema_fields: int = parameter(
-        10_000, "Fields of a message type's definition, with all that it contains.", minimum=1, maximum=10_000_000
+        10_000, "Fields of a message type that a bag defines, with all that it contains.", minimum=1, maximum=10_000_000
     )
     text_mb: int = parameter(
         4, "Size of a YAML file, its aliases counted as often as they are used.", unit="MB", minimum=1, maximum=10_000

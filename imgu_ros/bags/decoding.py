@@ -10,9 +10,10 @@ from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.bags.compression import decompressed_message
+from imgu_ros.bags.definitions import MessageReader, defined_types
 from imgu_ros.bags.messages import make_message, message_layout, typestore
 from imgu_ros.bags.storage import DEFAULT_LIMITS, Channel, RawMessage, Serialization
 from imgu_ros.bags.text import ascii_patched
@@ -25,15 +26,13 @@ if TYPE_CHECKING:
 #: Texts of one message that may be something else than UTF-8; more of them are garbage.
 _MOST_PATCHES = 20
 
-_IDL_SEPARATOR = "=" * 80 + "\n"
-
 
 class MessageDecoder:
     """Makes messages of what a bag holds; a channel's definition is parsed when its first message comes."""
 
     def __init__(self, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
         self._limits = limits
-        self._stores: dict[Channel, Typestore | BagError] = {}
+        self._stores: dict[Channel, MessageReader | BagError] = {}
 
     def type_error(self, channel: Channel) -> str:
         """Return why no message of this channel can be read; empty when its type is known."""
@@ -78,10 +77,10 @@ class MessageDecoder:
         except Exception as error:  # a type or a field that ROS 2 does not have, or has otherwise
             raise BagError(f"{channel.type_name}: not as in ROS 2 ({_one_line(error)}); need the same fields") from None
 
-    def _store(self, channel: Channel) -> Typestore | BagError:
+    def _store(self, channel: Channel) -> MessageReader | BagError:
         if channel not in self._stores:
             try:
-                self._stores[channel] = _typestore_of(channel)
+                self._stores[channel] = _reader_of(channel, self._limits)
             except BagError as error:
                 self._stores[channel] = error
         return self._stores[channel]
@@ -131,67 +130,29 @@ def _as_bag_errors(type_name: str) -> Iterator[None]:
 
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading a frame
-def _typestore_of(channel: Channel) -> Typestore:
+def _reader_of(channel: Channel, limits: LimitsParameters) -> MessageReader:
     if channel.serialization not in (Serialization.CDR, Serialization.ROS1):
         raise BagError(f"serialised as {channel.serialization!r}; need cdr or ros1")
     reason = "the bag carries no definition of it"
-    parse = _PARSERS.get(channel.schema_format)
-    if channel.schema and parse:
-        try:
-            store = get_typestore(Stores.EMPTY)
-            store.register(_with_dependencies(parse(channel), store.fielddefs))
-            store.get_msgdef(channel.type_name)
-            return store
-        except Exception as error:  # whatever a damaged or exotic definition provokes in the parser
-            reason = f"its definition cannot be read ({_one_line(error)})"
+    try:
+        types = defined_types(channel, limits)
+        if types is not None:
+            reader = MessageReader(types, limits)
+            is_cdr = channel.serialization == Serialization.CDR
+            # Generates the code, which may be refused too.
+            getattr(reader.get_msgdef(channel.type_name), "deserialize_cdr_le" if is_cdr else "deserialize_ros1")
+            return reader
+    except Exception as error:  # whatever a damaged or exotic definition provokes in the parser
+        reason = f"its definition cannot be read ({_one_line(error)})"
     usual = typestore() if channel.serialization == Serialization.CDR else _ros1_typestore()
     if channel.type_name in usual.fielddefs:
-        return usual
+        return MessageReader(usual, limits)
     raise BagError(f"type {channel.type_name or 'unknown'}: {reason}")
 
 
 @cache
 def _ros1_typestore() -> Typestore:
     return get_typestore(Stores.ROS1_NOETIC)
-
-
-def _types_from_msg(channel: Channel) -> dict[str, Any]:
-    lines = channel.schema.replace("\r\n", "\n").replace("\r", "\n")  # as editors of Windows end them
-    return dict(get_types_from_msg(lines, channel.type_name))
-
-
-def _types_from_idl(channel: Channel) -> dict[str, Any]:
-    if not channel.schema.startswith(f"{_IDL_SEPARATOR}IDL: "):
-        return dict(get_types_from_idl(channel.schema))
-    types: dict[str, Any] = {}
-    for part in channel.schema.split(_IDL_SEPARATOR)[1:]:
-        types.update(get_types_from_idl(part.split("\n", 1)[1]))
-    return types
-
-
-_PARSERS: dict[str, Callable[[Channel], dict[str, Any]]] = {
-    "ros2msg": _types_from_msg,
-    "ros1msg": _types_from_msg,
-    "ros2idl": _types_from_idl,
-    "omgidl": _types_from_idl,
-}
-
-
-def _with_dependencies(types: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
-    """Add the types that the definitions mention and do not define, as Jazzy defines them."""
-    complete = dict(types)
-    open_names = list(types)
-    while open_names:
-        for _, kind in complete[open_names.pop()][1]:
-            node, detail = kind
-            while node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-                node, detail = detail[0]
-            if node == Nodetype.NAME and detail not in complete and detail not in known:
-                if detail not in typestore().fielddefs:
-                    raise BagError(f"{detail} is not defined")
-                complete[detail] = typestore().fielddefs[detail]
-                open_names.append(detail)
-    return complete
 
 
 def _as_ros2(message: Any, type_name: str) -> Any:

@@ -36,17 +36,12 @@ def ascii_patched(data: bytes | memoryview, text: bytes) -> bytes:
     ValueError
         If there is no such string.
     """
-    whole = bytes(data)
+    patched = bytearray(data)
     sizes = [(len(text) + zero).to_bytes(4, order) for zero in (1, 0) for order in ("little", "big")]
-    found = [place + 4 for size in sizes if (place := whole.find(size + text)) >= 0]
+    found = [place + 4 for size in sizes if (place := patched.find(size + text)) >= 0]
     if not found:
         raise ValueError(f"no string of {len(text)} bytes that are not UTF-8 in the message")
     at = min(found)
-    patched = bytearray(text)
-    while True:
-        try:
-            patched.decode()
-        except UnicodeDecodeError as error:
-            patched[error.start : error.end] = b"?" * (error.end - error.start)
-        else:
-            return whole[:at] + patched + whole[at + len(text) :]
+    # Each byte that is none of UTF-8 becomes one surrogate, and each of those one question mark.
+    patched[at : at + len(text)] = text.decode("utf-8", "surrogateescape").encode("utf-8", "replace")
+    return bytes(patched)
