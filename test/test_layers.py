@@ -281,7 +281,7 @@ def test_rules_let_pass_what_is_allowed(name: str, text: str) -> None:
 #: Places of one machine, and hosts of package indexes: the repository is for every machine.
 FOREIGN = re.compile(r"(?<![\w.~$}>-])/(home|root|tmp|work|Users)/\w|pypi\.org|pythonhosted", re.IGNORECASE)
 BINARY = {".png", ".jpg", ".pyc", ".mcap", ".db3", ".bag", ".npz", ".tiff", ".pgm"}
-FOLDERS = (".ci", "benchmarks", "config", "docs", "imgu_ros", "launch", "resource", "scripts", "test")
+FOLDERS = (".ci", "benchmarks", "config", "docs", "fuzz", "imgu_ros", "launch", "resource", "scripts", "test")
 
 
 def test_repository_names_no_machine() -> None:
