@@ -100,7 +100,7 @@ def parsed(data: bytes, top: bool = True) -> list[Node]:
 def _chunk(node: Node) -> Node:
     values = dict(node.fields)
     try:
-        records = unpacked(node.content, values.get(b"compression", b""))
+        records = unpacked(node.content, values.get(b"compression", b""), 2**25)
     except Exception:
         return node
     size = values.get(b"size", b"")

@@ -159,14 +159,17 @@ def rosbag1_messages(data: bytes) -> Messages:
 def sqlite_messages(path: Path) -> Messages:
     """Return the rows of rosbag2's table that SQLite gives in the order of their ids, each id once."""
     found: dict[int, Identity] = {}
-    with suppress(sqlite3.Error), closing(sqlite3.connect(f"file:{quote(str(path))}", uri=True)) as database:
+    with (
+        suppress(sqlite3.Error, MemoryError),
+        closing(sqlite3.connect(f"file:{quote(str(path))}", uri=True)) as database,
+    ):
         database.text_factory = bytes
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         database.set_progress_handler(lambda: 1, 10**8)
         tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if {b"messages", b"topics"} <= tables:
             topics = {i for i, _, _ in database.execute("SELECT id, name, type FROM topics")}
-            with suppress(sqlite3.Error):
+            with suppress(sqlite3.Error, MemoryError):
                 for row, topic, time_ns, data in database.execute("SELECT id, topic_id, timestamp, data FROM messages"):
                     whole = isinstance(time_ns, int) and isinstance(data, bytes) and isinstance(row, int)
                     if whole and topic in topics and 0 <= time_ns <= _LAST_TIME:
