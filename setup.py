@@ -44,6 +44,7 @@ setup(
         'backports.zstd>=1.0; python_version < "3.14"',
         "jinja2>=3.1",
         "lz4>=4.0",
+        "markupsafe>=2.0",
         "matplotlib>=3.6",
         "numpy>=1.26",
         "opencv-python-headless>=4.6",
@@ -58,6 +59,8 @@ setup(
         # Wheels for x86-64 Linux; elsewhere ROS 2 Jazzy comes from apt (README.md). Without `fastrtps` there is no
         # middleware, and importing rclpy fails.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        # What scripts/audit and scripts/sbom check with.
+        "supply": ["cyclonedx-python-lib[json-validation]>=8", "pip-audit>=2.7"],
         "test": [
             "coverage>=7.4",
             "hypothesis>=6.98",

@@ -55,13 +55,32 @@ make_environment() {
     fi
     rm -f "$folder/installed"
     echo "${0##*/}: installing imgu_ros${extras:+ [$extras]} and what it needs (once; a minute or two)" >&2
-    # Python compiles what it imports; to compile everything would take as long as all the rest.
-    local install=("$PYTHON" -m pip install --quiet --no-compile --constraint "$constraints")
-    "${install[@]}" setuptools
-    # The setuptools just installed builds the package, so that the build is pinned too.
-    "${install[@]}" --no-build-isolation --editable "$ROOT${extras:+[$extras]}"
+    # First what builds this package, and the few that publish no wheel.
+    install_locked "$constraints" build "imgu_ros${extras:+,$extras}"
+    # From what is installed now, or not at all: nothing enters whose digest was not checked.
+    _install --no-index --no-build-isolation --editable "$ROOT${extras:+[$extras]}"
     echo "$wanted ,$extras," >"$folder/installed"
     if command -v flock >/dev/null; then exec 9>&-; fi
+}
+
+# install_locked LOCK NAMES...: install into the environment of $PYTHON what NAMES need ("imgu_ros,ros"), exactly as
+# locked; a file with another digest is refused.
+install_locked() {
+    local lock=$1 names needed status=0
+    shift
+    needed=$(mktemp)
+    for names in "$@"; do
+        "$PYTHON" "$ROOT/scripts/lock.py" "$lock" "$names" >"$needed" &&
+            _install --require-hashes --no-deps --no-build-isolation --requirement "$needed" || status=$?
+        [[ $status -eq 0 ]] || break
+    done
+    rm -f "$needed"
+    return "$status"
+}
+
+# Python compiles what it imports; to compile everything would take as long as all the rest.
+_install() {
+    "$PYTHON" -m pip install --quiet --no-compile "$@"
 }
 
 # The optional dependencies that exist for this machine: rclpy comes as wheels for x86-64 Linux alone.
@@ -76,7 +95,7 @@ available_extras() {
 
 # What is copied or acted upon at installation; the modules themselves are used from where they are.
 _installed_files() {
-    printf '%s\n' "$1" "$ROOT"/{setup.py,setup.cfg,package.xml,scripts/environment.sh}
+    printf '%s\n' "$1" "$ROOT"/{setup.py,setup.cfg,package.xml,scripts/environment.sh,scripts/lock.py}
     find "$ROOT/config" "$ROOT/launch" -type f ! -name '*.pyc' 2>/dev/null || true
 }
 

@@ -22,6 +22,8 @@ from packaging.utils import canonicalize_name
 REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = REPOSITORY / "imgu_ros"
 CONSTRAINTS = ("constraints.txt", "constraints-jazzy.txt")
+#: The packages that benchmarks/ compares with need a newer NumPy than Jazzy has.
+LOCKED_EXTRAS = {"constraints.txt": ("bench", "ros", "supply", "test"), "constraints-jazzy.txt": ("ros", "test")}
 PYTHONS = ("3.11", "3.12")
 
 #: Imported module -> (name for pip, rosdep key; empty: comes with another key's).
@@ -30,6 +32,7 @@ DISTRIBUTIONS = {
     "cv2": ("opencv-python-headless", "python3-opencv"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "lz4": ("lz4", ""),
+    "markupsafe": ("markupsafe", ""),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "numpy": ("numpy", "python3-numpy"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
@@ -74,19 +77,16 @@ def message_packages(folder: Path) -> set[str]:
     return {name for text in texts for name in re.findall(r'"(\w+)/msg/\w+"', text)} - {"package"}
 
 
-def pins(file: str, python: str) -> dict[str, str]:
-    """Return the versions that a constraints file pins for a version of Python, by canonical name."""
-    found = {}
-    for line in (REPOSITORY / file).read_text().splitlines():
-        if line.startswith("#"):
-            continue
-        pin = Requirement(line)
-        (specifier,) = pin.specifier
-        assert specifier.operator == "==", line
-        if pin.marker is None or pin.marker.evaluate({"python_version": python, "python_full_version": f"{python}.0"}):
-            assert canonicalize_name(pin.name) not in found, f"{file}: {pin.name} twice for {python}"
-            found[canonicalize_name(pin.name)] = specifier.version
-    return found
+def locked(file: str, needed: list[str], python: str) -> list[Any]:
+    lock = runpy.run_path(str(REPOSITORY / "scripts" / "lock.py"))
+    return lock["select"](lock["read"](REPOSITORY / file), needed, python)
+
+
+def pins(file: str, python: str, *needed: str) -> dict[str, str]:
+    """Return the versions that a lock file pins for a version of Python, by canonical name."""
+    found = locked(file, ["build", *(needed or ("imgu_ros", *LOCKED_EXTRAS[file]))], python)
+    assert len({package.name for package in found}) == len(found)
+    return {package.name: package.version for package in found}
 
 
 def test_manifest_is_an_ament_python_package(manifest: ElementTree.Element, arguments: dict[str, Any]) -> None:
@@ -146,18 +146,11 @@ def test_imports_are_declared(arguments: dict[str, Any], manifest: ElementTree.E
     assert imported | message_packages(PACKAGE) == keys - rosdep_keys
 
 
-def pinned_extras(arguments: dict[str, Any], file: str) -> list[str]:
-    """Return the optional dependencies that a constraints file pins."""
-    extras = arguments["extras_require"]
-    # The packages that benchmarks/ compares with need a newer NumPy than Jazzy has.
-    return [line for name in extras if (name, file) != ("bench", "constraints-jazzy.txt") for line in extras[name]]
-
-
 @pytest.mark.parametrize("file", CONSTRAINTS)
 @pytest.mark.parametrize("python", PYTHONS)
 def test_everything_is_pinned(arguments: dict[str, Any], file: str, python: str) -> None:
     pinned = pins(file, python)
-    extras = pinned_extras(arguments, file)
+    extras = [line for name in LOCKED_EXTRAS[file] for line in arguments["extras_require"][name]]
     for line in ["setuptools", *arguments["install_requires"], *extras]:
         wanted = Requirement(line)
         version = pinned.get(canonicalize_name(wanted.name))
@@ -165,16 +158,27 @@ def test_everything_is_pinned(arguments: dict[str, Any], file: str, python: str)
         assert version in wanted.specifier, f"{file}: {wanted.name}=={version}; setup.py needs {wanted.specifier}"
 
 
+def test_every_optional_dependency_is_locked(arguments: dict[str, Any]) -> None:
+    assert set(arguments["extras_require"]) == set(LOCKED_EXTRAS["constraints.txt"])
+
+
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
 @pytest.mark.parametrize("file", CONSTRAINTS)
-def test_dependencies_of_dependencies_are_pinned(arguments: dict[str, Any], file: str) -> None:
-    extras = pinned_extras(arguments, file)
-    pinned = pins(file, f"{sys.version_info[0]}.{sys.version_info[1]}")
-    needed = set(closure([*arguments["install_requires"], *extras]))
-    assert len(needed) > 20
-    assert needed - pinned.keys() == set()
+@pytest.mark.parametrize("extra", ["", "ros", "test"])
+def test_dependencies_of_dependencies_are_locked(
+    arguments: dict[str, Any], file: str, extra: str, machine: str
+) -> None:
+    # No more than what is installed can be looked at, on its own Python.
+    needed = [*arguments["install_requires"], *arguments["extras_require"].get(extra, [])]
+    names = ("imgu_ros", extra) if extra else ("imgu_ros",)
+    found = pins(file, f"{sys.version_info[0]}.{sys.version_info[1]}", *names).keys() - {"setuptools"}
+    wanted = set(closure(needed, {"platform_machine": machine})) - {"setuptools"}
+    assert wanted - found == set()
+    # Without ROS nothing of ROS is installed.
+    assert (extra == "ros") == any(name.startswith("ros-") for name in found)
 
 
-def closure(requirements: list[str]) -> Iterator[str]:
+def closure(requirements: list[str], environment: dict[str, str]) -> Iterator[str]:
     """Yield the names of all that is needed, as far as it is installed here, by the distributions' own metadata."""
     queue, seen = [Requirement(line) for line in requirements], set()
     while queue:
@@ -189,7 +193,7 @@ def closure(requirements: list[str]) -> Iterator[str]:
             continue
         for child in map(Requirement, lines):
             marker = child.marker
-            if marker is None or any(marker.evaluate({"extra": extra}) for extra in ["", *item.extras]):
+            if marker is None or any(marker.evaluate({**environment, "extra": extra}) for extra in ["", *item.extras]):
                 queue.append(child)
 
 

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -23,8 +26,11 @@ case "$*" in
     *platform*) echo "$version.0" ;;
     *"-m venv"*) mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; echo "venv $version" >>"$LOG" ;;
     *"-m pip --version"*) ;;
-    *"-m pip install"*setuptools) ;;
-    *"-m pip install"*) [[ ! -e $LOG.broken ]] || exit 1; last=${@: -1}; echo "install ${last##*/}" >>"$LOG" ;;
+    *lock.py*) echo "${@: -1}" ;;
+    *"-m pip install"*--requirement*) echo "${@:3:$#-3} $(cat "${@: -1}")" >>"$LOG.locked" ;;
+    *"-m pip install"*--no-index*)
+        [[ ! -e $LOG.broken ]] || exit 1
+        last=${@: -1}; echo "install ${last##*/}" >>"$LOG" ;;
     *) echo "unexpected: $*" >&2; exit 99 ;;
 esac
 """
@@ -41,7 +47,8 @@ class Sandbox:
         self.log = folder / "log"
         (self.root / "scripts").mkdir(parents=True)
         self.programs.mkdir()
-        shutil.copy(REPOSITORY / "scripts" / "environment.sh", self.root / "scripts")
+        for name in ("environment.sh", "lock.py"):
+            shutil.copy(REPOSITORY / "scripts" / name, self.root / "scripts")
         for name in ("setup.py", "setup.cfg", "package.xml", "constraints.txt"):
             (self.root / name).write_text(name)
         # The real interpreters of this machine stay out of sight.
@@ -103,6 +110,14 @@ def test_more_serves_less(sandbox: Sandbox) -> None:
         (0, ["install repository with space[ros,test]"]),
         (0, []),
     ]
+
+
+def test_only_what_is_locked_is_installed(sandbox: Sandbox) -> None:
+    sandbox.python("python3.12")
+    assert sandbox.run("ros,test").returncode == 0
+    lines = Path(f"{sandbox.log}.locked").read_text().splitlines()
+    assert [line.split()[-1] for line in lines] == ["build", "imgu_ros,ros,test"]
+    assert all({"--require-hashes", "--no-deps"} <= set(line.split()) for line in lines)
 
 
 @pytest.mark.parametrize("changed", ["constraints.txt", "setup.py", "setup.cfg", "package.xml"])
@@ -184,6 +199,72 @@ def test_wrong_interpreter_on_request_is_refused(sandbox: Sandbox) -> None:
     done = sandbox.run(IMGU_PYTHON="python3.11")
     assert done.returncode == 1
     assert "IMGU_PYTHON=python3.11" in done.stderr
+
+
+def wheel(folder: Path, content: str) -> str:
+    """Write a package of one module, as a wheel; return its digest."""
+    path = folder / "harmless-1.0-py3-none-any.whl"
+    info = "harmless-1.0.dist-info"
+    files = {
+        "harmless.py": content,
+        f"{info}/METADATA": "Metadata-Version: 2.1\nName: harmless\nVersion: 1.0\nRequires-Dist: unlocked\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    files[f"{info}/RECORD"] = "".join(f"{name},,\n" for name in [*files, f"{info}/RECORD"])
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("tampered", [False, True])
+def test_a_file_with_another_digest_is_refused(tmp_path: Path, tampered: bool) -> None:
+    pytest.importorskip("pip")
+    lock = tmp_path / "lock.txt"
+    lock.write_text(f"# header\n\n# test\nharmless==1.0 \\\n    --hash=sha256:{wheel(tmp_path, 'x = 1')}\n")
+    if tampered:
+        wheel(tmp_path, "x = 2")
+    code = f'set -euo pipefail; source scripts/environment.sh; PYTHON="{sys.executable}"; install_locked "{lock}" test'
+    target = tmp_path / "installed"
+    # From this folder alone, to a folder of its own; nothing is asked of an index.
+    variables = {
+        "PIP_NO_INDEX": "1",
+        "PIP_FIND_LINKS": str(tmp_path),
+        "PIP_TARGET": str(target),
+        "PIP_CONFIG_FILE": os.devnull,
+        "PIP_NO_CACHE_DIR": "1",
+    }
+    done = subprocess.run(
+        ["bash", "-c", code],
+        cwd=REPOSITORY,
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode == 0) is not tampered, done.stderr
+    assert (target / "harmless.py").exists() is not tampered
+    assert ("THESE PACKAGES DO NOT MATCH THE HASHES" in done.stderr) is tampered
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# header\n\n# test\nharmless==1.0\n",
+        "# header\n\nharmless==1.0 \\\n    --hash=sha256:" + 64 * "0" + "\n",
+        "# header\n\n# test\nharmless>=1.0 \\\n    --hash=sha256:" + 64 * "0" + "\n",
+        "# header\n\n# test\nharmless==1.0 \\\n    --hash=md5:" + 32 * "0" + "\n",
+        "--extra-index-url=https://elsewhere.invalid\n\n",
+        "# header\n\n--extra-index-url=https://elsewhere.invalid\n",
+        "",
+    ],
+)
+def test_a_lock_without_digests_is_refused(tmp_path: Path, text: str) -> None:
+    lock = tmp_path / "lock.txt"
+    lock.write_text(text)
+    command = [sys.executable, str(REPOSITORY / "scripts" / "lock.py"), str(lock), "test"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1), done.stderr
 
 
 SCRIPTS = ("scripts/demo", "scripts/test", "scripts/pin", "scripts/colcon", "scripts/environment.sh", ".ci/run")
