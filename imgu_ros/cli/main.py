@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from imgu_ros.cli.terminal import Parser, fail, let_streams_print_everything, say, tell
-from imgu_ros.errors import ImguError
+from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.nearest_name import nearest_name
 from imgu_ros.shown_text import quoted
 
@@ -59,6 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # The chain's matrices are small: a second thread of BLAS gains nothing, and spins on a core that others need.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
+        _refuse_unspeakable(arguments)
         code = _run(arguments)
         sys.stdout.flush()
         return code
@@ -76,6 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         need = """the ros extra: pip install ".[ros]" in imgu_ros's source folder"""
         return _failed(f"{error.name or 'rclpy'}: cannot be imported; need {need}")
+    except MemoryError:
+        return _failed("memory: not enough for what was asked for; need more of it, or less to do")
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             # A write that fails does not know its file's name. What stdout still holds would fail again at exit.
@@ -83,7 +86,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _failed(f"output: {error.strerror}; need room for what is written")
         if error.filename is None:
             raise
-        return _failed(f"{os.fsdecode(error.filename)}: {error.strerror}")
+        name = error.filename if isinstance(error.filename, int) else os.fsdecode(error.filename)
+        return _failed(f"{name}: {error.strerror}")
+
+
+def _refuse_unspeakable(arguments: list[str]) -> None:
+    """Refuse what no shell can pass, and no system call take; callers in Python can."""
+    for argument in arguments:
+        try:
+            possible = b"\0" not in os.fsencode(argument)
+        except UnicodeEncodeError:
+            possible = False
+        if not possible:
+            raise ParameterError(f"argument {quoted(argument)}: holds what no file name can; need other text")
 
 
 def _run(arguments: list[str]) -> int:

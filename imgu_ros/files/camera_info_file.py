@@ -12,6 +12,7 @@ from imgu_ros.codec.camera_reading import CameraDescription, CameraReading, read
 from imgu_ros.codec.distortion_names import message_name
 from imgu_ros.errors import FileError
 from imgu_ros.files.calibration_formats import described_camera
+from imgu_ros.files.reading import file_bytes
 from imgu_ros.files.text_files import write_text
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -105,13 +106,10 @@ def camera_info_text(camera: Camera, name: str = "camera") -> str:
 
 
 def _text(path: Path) -> str:
+    content = file_bytes(path, "a calibration file", _MAX_BYTES)
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; need a calibration file")
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a calibration file") from None
-    except ValueError:
+        return content.decode()
+    except UnicodeDecodeError:
         raise FileError(f"{path}: no text; need a calibration file") from None
 
 

@@ -7,8 +7,9 @@ import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.errors import ParameterError
 from imgu_ros.files.rcl_parameters import SECTION, RclParameters, section_applies, with_slash
+from imgu_ros.files.reading import file_bytes
 from imgu_ros.parameter_values import checked_value, is_empty_group, value_or_empty
 from imgu_ros.params import Declaration, declarations
 
@@ -114,13 +115,7 @@ class GivenParameters:
 
 def parameter_file_bytes(path: Path | str) -> bytes:
     """Return a parameter file's content; FileError if it cannot be read or is too large to be one."""
-    path = Path(path)
-    try:
-        if path.is_file() and path.stat().st_size > _MAX_BYTES:
-            raise FileError(f"{path}: {path.stat().st_size} bytes; need a parameter file")
-        return path.read_bytes()
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a parameter file") from None
+    return file_bytes(Path(path), "a parameter file", _MAX_BYTES)
 
 
 def parameter_file_text(values: Mapping[str, object] | None = None, names: Collection[str] | None = None) -> str:

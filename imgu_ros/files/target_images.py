@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.images import read_image_file
 from imgu_ros.params import TargetsParameters
 from imgu_ros.perception.targets import TargetImage
+from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
 
 _MIN_SIDE_PX = 16
@@ -23,6 +25,8 @@ _MIN_SIDE_PX = 16
 _MIN_CONTRAST = 8
 #: The note about a picture whose colour is the paper's.
 _SHAPE = "a white shape on transparency: taken as white on black"
+#: With what goes round it a name makes names of topics and of files, which have at most 255 characters.
+_LONGEST_NAME = 128
 _TOKEN = re.compile(r"[A-Za-z](?!\w*__)\w*", re.ASCII)
 
 
@@ -76,17 +80,26 @@ def expanded_path(text: str) -> Path:
 
 
 def name_from_stem(stem: str) -> str:
-    """Return the valid ROS name nearest to a file's stem: letters, digits, single underscores, a letter first."""
+    """Return the valid ROS name nearest to a file's stem: letters, digits, single underscores, a letter first.
+
+    A long one is cut, and ends in a checksum that tells it from others.
+    """
     ascii_only = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
     name = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]+", "_", ascii_only)).strip("_")
     if not name:
         return "target"
-    return name if name[0].isalpha() else f"target_{name}"
+    name = name if name[0].isalpha() else f"target_{name}"
+    if len(name) <= _LONGEST_NAME:
+        return name
+    return f"{name[: _LONGEST_NAME - 9].rstrip('_')}_{zlib.crc32(stem.encode('utf-8', 'surrogatepass')):08x}"
 
 
 def _checked_name(name: str) -> str:
-    if not _TOKEN.fullmatch(name):
-        raise ParameterError(f"targets.names: {name!r}; need letters, digits and single underscores, a letter first")
+    if len(name) > _LONGEST_NAME or not _TOKEN.fullmatch(name):
+        raise ParameterError(
+            f"targets.names: {quoted(name)}; need letters, digits and single underscores, a letter first, "
+            f"at most {_LONGEST_NAME}"
+        )
     return name
 
 

@@ -7,6 +7,7 @@ import csv
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import FileError, ShapeError
 from imgu_ros.files.frames_csv import H_COLUMNS, Q_COLUMNS, T_COLUMNS
+from imgu_ros.files.reading import file_lines
 from imgu_ros.shown_text import as_cell, cell_text
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -27,6 +29,7 @@ COLUMNS = ("stamp_ns", "target", *H_COLUMNS, *_POSE_COLUMNS)
 NEES_MEDIAN, NEES_95 = 5.35, 12.59
 
 _GRID = 9
+_MOST_ROWS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,15 +79,15 @@ def read_truth(path: Path) -> tuple[Truth, ...]:
         If it cannot be read, lacks a column, or holds something that is not a number.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            missing = [c for c in COLUMNS if c not in (reader.fieldnames or ())]
-            if missing:
-                raise FileError(f"{path}: no column {missing[0]}; need {', '.join(COLUMNS)}")
-            return tuple(_truth(row, f"{path}:{reader.line_num}") for row in reader if row["h11"])
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a readable truth file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(file_lines(path, "a readable truth file"))
+        missing = [c for c in COLUMNS if c not in (reader.fieldnames or ())]
+        if missing:
+            raise FileError(f"{path}: no column {missing[0]}; need {', '.join(COLUMNS)}")
+        rows = tuple(_truth(row, f"{path}:{reader.line_num}") for row in islice(reader, _MOST_ROWS) if row["h11"])
+        if next(reader, None) is not None:
+            raise FileError(f"{path}: more than {_MOST_ROWS} rows; need fewer")
+        return rows
+    except csv.Error as error:
         raise FileError(f"{path}: {error}; need a CSV file") from None
 
 

@@ -135,7 +135,7 @@ def test_frames_csv_is_a_truth_file_too(tmp_path: Path) -> None:
     [
         (b"a,b\n1,2\n", "no column stamp_ns"),
         (b"", "no column stamp_ns"),
-        (b"\xff\xfe\x00", "need a CSV file"),
+        (b"\xff\xfe\x00", "need a readable truth file"),
         ((",".join(COLUMNS) + "\n1,a," + ",".join(["x"] * 16)).encode(), ":2: could not convert"),
         ((",".join(COLUMNS) + "\n1,a," + ",".join(["nan"] * 16)).encode(), "need finite numbers"),
         ((",".join(COLUMNS) + "\n1,a,1.0,2.0").encode(), "need finite numbers"),
