@@ -107,13 +107,13 @@ class FrameSource:
         self, pairing: Pairing[BagMessage, Any], headers: HeaderChecks, names: list[str]
     ) -> Iterator[Pair[BagMessage, Any]]:
         for message in self._bag.messages(names):
-            stamp_ns = decode_header(message.message).stamp_ns
+            header = decode_header(message.message)
             if message.topic == self.image_topic.name:
                 headers.add_image(message.message)
-                yield from pairing.add_image(stamp_ns, message)
+                yield from pairing.add_image(header.stamp_ns, message, header.frame_id)
             else:
                 headers.add_camera_info(message.message)
-                yield from pairing.add_camera_info(stamp_ns, message.message)
+                yield from pairing.add_camera_info(header.stamp_ns, message.message, header.frame_id)
         yield from pairing.flush()
 
     def _said_of_camera(self, pair: Pair[BagMessage, Any], frame: Frame) -> Sequence[str]:

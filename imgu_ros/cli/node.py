@@ -66,9 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
         fail(str(error))
         return 2
 
-    from imgu_ros.ros.middleware import set_profile
+    from imgu_ros.ros.middleware import require_room_to_start, set_profile
     from imgu_ros.ros.stopping import Stopped, StopSignal
 
+    require_room_to_start()
     set_profile()
     with StopSignal() as stop:
         try:

@@ -36,9 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play the bag and say what was published."""
-    from imgu_ros.ros.middleware import set_profile
+    from imgu_ros.ros.middleware import require_room_to_start, set_profile
     from imgu_ros.ros.stopping import Stopped, StopSignal
 
+    require_room_to_start()
     set_profile()
     with StopSignal() as stop:
         try:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -14,6 +16,8 @@ from imgu_ros.shown_text import quoted
 _JUMP_NS = 1_000_000_000
 #: What was seen in none of so many images is over.
 _FORGOTTEN = 300
+#: So many frame_ids are kept apart.
+_CAMERAS = 8
 
 
 class Oddity(StrEnum):
@@ -22,6 +26,7 @@ class Oddity(StrEnum):
     SLASH = "frame_slash"  #: frame_id begins with a slash
     NO_FRAME = "no_frame"  #: frame_id is empty
     OTHER_FRAME = "other_frame"  #: camera_info has another frame_id than the images
+    SHARED = "several_cameras"  #: images of several frame_ids come in turn
     ZERO = "zero_stamps"
     REPEATED = "repeated_stamps"
     FALLING = "falling_stamps"
@@ -47,31 +52,43 @@ class HeaderChecks:
         self._counts: dict[Oddity, int] = {}
         self._last_seen: dict[Oddity, int] = {}
         self._details: dict[Oddity, str] = {}
-        self._last_ns: int | None = None
-        self._before_zero: int | None = None
         self._frame_id: str | None = None
+        # By frame_id, that of the last image last.
+        self._cameras: OrderedDict[str, _Stamps] = OrderedDict()
 
     @property
     def counts(self) -> Mapping[Oddity, int]:
         """How many messages had each oddity."""
         return self._counts
 
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The frame_ids that images came with, in turn, lately; empty while all have the same."""
+        if Oddity.SHARED not in self._counts or self._images - self._last_seen[Oddity.SHARED] >= _FORGOTTEN:
+            return ()
+        return tuple(sorted(self._cameras))
+
     def add_image(self, message: Any) -> None:
         """Look at the next image."""
         self._images += 1
         given, header = str(message.header.frame_id), decode_header(message)
-        self._frame_id = header.frame_id
+        name = self._frame_id = header.frame_id
+        if name in self._cameras and name != next(reversed(self._cameras)):
+            self._note(Oddity.SHARED, "")
+        camera = self._cameras.setdefault(name, _Stamps())
+        self._cameras.move_to_end(name)
+        if len(self._cameras) > _CAMERAS:
+            self._cameras.popitem(last=False)
         if given.startswith("/"):
-            out = quoted(header.frame_id)
-            self._note(Oddity.SLASH, f"{quoted(given)}; tf2 refuses a leading slash: {out} goes out")
-        if not header.frame_id:
+            self._note(Oddity.SLASH, f"{quoted(given)}; tf2 refuses a leading slash: {quoted(name)} goes out")
+        if not name:
             self._note(Oddity.NO_FRAME, "")
-        self._look_at_stamp(header.stamp_ns)
+        self._look_at_stamp(camera, header.stamp_ns)
 
     def add_camera_info(self, message: Any) -> None:
         """Look at the next camera_info."""
         frame_id = frame_name(str(message.header.frame_id))
-        if self._frame_id is not None and frame_id != self._frame_id:
+        if self._cameras and frame_id not in self._cameras:
             self._note(Oddity.OTHER_FRAME, quoted(frame_id))
 
     def told(self, camera_frame: str = "", *, lately: bool = False) -> dict[Oddity, str]:
@@ -90,15 +107,15 @@ class HeaderChecks:
             and not (lately and self._images - self._last_seen[oddity] >= _FORGOTTEN)
         }
 
-    def _look_at_stamp(self, stamp_ns: int) -> None:
-        last_ns, before_zero = self._last_ns, self._before_zero
-        self._last_ns, self._before_zero = stamp_ns, None
+    def _look_at_stamp(self, camera: _Stamps, stamp_ns: int) -> None:
+        last_ns, before_zero = camera.last_ns, camera.before_zero
+        camera.last_ns, camera.before_zero = stamp_ns, None
         if stamp_ns == 0:
             # A recording may begin at 0, or begin anew there: what follows tells.
             if last_ns == 0 or Oddity.ZERO in self._counts:
                 self._note(Oddity.ZERO, "")
             else:
-                self._before_zero = last_ns
+                camera.before_zero = last_ns
             return
         if before_zero is not None:
             if stamp_ns >= before_zero - _JUMP_NS:
@@ -134,6 +151,9 @@ class HeaderChecks:
                     f"frame_id of {self._info_topic}: {detail}, of {topic}: {quoted(self._frame_id or '')}; the "
                     "images' goes out; set frames.camera if it is wrong"
                 )
+            case Oddity.SHARED:
+                names = self.cameras or tuple(self._cameras)
+                return f"{topic} carries images of several cameras: {what_becomes(names)}"
             case Oddity.ZERO:
                 return (
                     f"stamps of {topic} are 0 in {share}: motion is predicted as if they came evenly, and /tf and "
@@ -154,3 +174,17 @@ class HeaderChecks:
                     f"stamps of {topic} jump back in {share} (first {detail}): a recording that begins anew, or a "
                     "clock that was set; tracks and paths begin anew"
                 )
+
+
+def what_becomes(frame_ids: Sequence[str]) -> str:
+    """Return what becomes of images of several cameras on one topic, and what to do; `frame_ids`: those known."""
+    names = f" ({', '.join(quoted(name) for name in frame_ids)})" if len(frame_ids) > 1 else ""
+    return f"each frame_id{names} is paired and tracked by itself; give each camera a topic and a node of its own"
+
+
+@dataclass(slots=True, eq=False)
+class _Stamps:
+    """The last stamps of one frame_id."""
+
+    last_ns: int | None = None
+    before_zero: int | None = None

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs each image with the camera_info that describes it, by stamp.
+"""Pairs each image with the camera_info that describes it, by stamp and frame_id.
 
 The order of arrival differs between a bag and a live graph, and between two runs of a live graph. The rules below
 look at stamps and at each topic's own order, so that the pairs are the same in every interleaving in which no topic
 runs ahead of the other by more than the hold depth:
 
-- Images leave in the order in which they came.
+- Images of one frame_id leave in the order in which they came. Each frame_id is paired by itself: several cameras may
+  share the topics.
+- An image's camera_info are those of its own frame_id. Where there are none (drivers that name the two differently)
+  they are those whose frame_id no image has; the first image waits before it takes them, for its own may follow.
 - A camera_info with the image's stamp is its match. Of several with one stamp the last to arrive counts.
-- An image without a match waits, until its match arrives; or a camera_info with a later stamp, since then its own was
-  lost; or `hold` more images. In the last two cases it falls back to the camera_info with the latest stamp before its
-  own; where there is none (a recording that starts between the two, stamps of different clocks) to the first after
-  it; and to none when no camera_info has come at all.
+- An image without a match waits, until its match arrives; or a camera_info with a later stamp (by a second at most:
+  those of another clock tell nothing), since then its own was lost; or `hold` more images. In the last two cases it
+  falls back to the camera_info with the latest stamp before its own; where there is none (a recording that starts
+  between the two, stamps of different clocks) to the first after it; and to none when no camera_info has come at all.
 - After `_PATIENCE` images in a row without a match (camera_info latched, sent at a lower rate, or not at all) images
   no longer wait, so that they are not late for nothing; the first match, or a camera_info that comes just after its
   image, ends that.
@@ -22,7 +25,8 @@ runs ahead of the other by more than the hold depth:
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from imgu_ros.errors import ParameterError
@@ -34,6 +38,10 @@ _HOLD = 2
 _PATIENCE = 10
 _KEPT_INFOS = 256
 _JUMP_NS = 1_000_000_000
+#: So many frame_ids are kept apart, of images and of camera_info.
+_CAMERAS = 8
+#: A frame_id that none of so many images had is that of no camera any more.
+_FORGOTTEN = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +65,8 @@ class Pair(Generic[ImageT, InfoT]):
 class Pairing(Generic[ImageT, InfoT]):
     """Pairs the messages of one image topic and one camera_info topic; see the module for the rules.
 
-    Every method returns the pairs that it completed, in order. At most `hold` + 1 images and 256 camera_info are kept.
-    Not thread-safe: a node calls it under a lock, or from one callback group.
+    Every method returns the pairs that it completed, in order. For each of at most 8 frame_ids at most `hold` + 1
+    images and 256 camera_info are kept. Not thread-safe: a node calls it under a lock, or from one callback group.
 
     Parameters
     ----------
@@ -70,6 +78,8 @@ class Pairing(Generic[ImageT, InfoT]):
     matched, unmatched : images that left with, and without, a camera_info of their own stamp; not counted when none
         is expected
     misses_in_a_row : images without one since the last match, or since a camera_info came late for its image
+    foreign_in_a_row : images that left without any camera_info, as all that came are other cameras', since the last
+        that had one
     last_image_ns, last_info_ns : the latest stamp of each topic; None before the first message
     """
 
@@ -79,86 +89,179 @@ class Pairing(Generic[ImageT, InfoT]):
         self.matched = 0
         self.unmatched = 0
         self.misses_in_a_row = 0
+        self.foreign_in_a_row = 0
         self.last_image_ns: int | None = None
         self.last_info_ns: int | None = None
         self._expects = expects_camera_info
         self._hold = hold
-        self._waiting: deque[_Waiting[ImageT]] = deque()
-        self._infos: OrderedDict[int, InfoT] = OrderedDict()  # by stamp, in order of arrival
-        self._missed: deque[int] = deque(maxlen=_PATIENCE)  # stamps of the last images without a match
-        self._forgotten: InfoT | None = None
+        self._images = 0
+        # By frame_id, that of the last message last.
+        self._cameras: OrderedDict[str, _Camera[ImageT]] = OrderedDict()
+        self._infos: OrderedDict[str, _Infos[InfoT]] = OrderedDict()
 
-    def add_image(self, stamp_ns: int, image: ImageT) -> list[Pair[ImageT, InfoT]]:
+    @property
+    def info_frames(self) -> tuple[str, ...]:
+        """The frame_ids that camera_info has come with, the last one last."""
+        return tuple(self._infos)
+
+    def add_image(self, stamp_ns: int, image: ImageT, frame_id: str = "") -> list[Pair[ImageT, InfoT]]:
         """Take the next image."""
         if not self._expects:
             return [Pair(stamp_ns, image, None, False)]
-        if self.last_image_ns is not None and stamp_ns < self.last_image_ns - _JUMP_NS:
-            self._forget_after(stamp_ns)
         self.last_image_ns = stamp_ns
-        self._waiting.append(_Waiting(stamp_ns, image))
-        return self._completed(self._depth())
+        self._images += 1
+        camera = self._cameras.setdefault(frame_id, _Camera(knows_its_infos=not frame_id))
+        self._cameras.move_to_end(frame_id)
+        pairs = self._forget_cameras()
+        if camera.last_ns is not None and stamp_ns < camera.last_ns - _JUMP_NS:
+            for infos in self._infos_of(frame_id, camera):
+                infos.forget_after(stamp_ns)
+        camera.last_ns, camera.last_image = stamp_ns, self._images
+        camera.waiting.append(_Waiting(stamp_ns, image))
+        return pairs + self._completed(frame_id, camera)
 
-    def add_camera_info(self, stamp_ns: int, camera_info: InfoT) -> list[Pair[ImageT, InfoT]]:
+    def add_camera_info(self, stamp_ns: int, camera_info: InfoT, frame_id: str = "") -> list[Pair[ImageT, InfoT]]:
         """Take the next camera_info."""
         if not self._expects:
             return []
-        if self.last_info_ns is not None and stamp_ns < self.last_info_ns - _JUMP_NS:
-            self._forget_after(stamp_ns)
         self.last_info_ns = stamp_ns
-        self._infos.pop(stamp_ns, None)
-        self._infos[stamp_ns] = camera_info
-        if len(self._infos) > _KEPT_INFOS:
-            self._infos.popitem(last=False)
-        if stamp_ns in self._missed:
-            self.misses_in_a_row = 0
-        return self._completed(self._depth())
+        self._infos.setdefault(frame_id, _Infos()).add(stamp_ns, camera_info)
+        self._infos.move_to_end(frame_id)
+        while len(self._infos) > _CAMERAS:
+            # Those of a camera whose images come are the last to go.
+            self._infos.pop(next((name for name in self._infos if name not in self._cameras), next(iter(self._infos))))
+        pairs = []
+        for name, camera in self._cameras.items():
+            if name == frame_id or self._infos[frame_id] in self._infos_of(name, camera):
+                if stamp_ns in camera.missed:
+                    self.misses_in_a_row = camera.misses_in_a_row = 0
+                pairs += self._completed(name, camera)
+        return pairs
 
     def flush(self) -> list[Pair[ImageT, InfoT]]:
         """Complete every image that still waits: nothing more will come."""
-        return self._completed(0)
+        return [pair for name, camera in self._cameras.items() for pair in self._completed(name, camera, depth=0)]
 
-    def _depth(self) -> int:
-        return self._hold if self.misses_in_a_row < _PATIENCE else 0
+    def _infos_of(self, frame_id: str, camera: _Camera[ImageT]) -> list[_Infos[InfoT]]:
+        """Return the camera_info that may be a camera's: of its own name, else that it had before, else nobody's."""
+        for name in (frame_id, camera.lender):
+            if name is not None and name in self._infos:
+                return [self._infos[name]]
+        return [infos for name, infos in self._infos.items() if name not in self._cameras]
 
-    def _completed(self, depth: int) -> list[Pair[ImageT, InfoT]]:
+    def _completed(self, frame_id: str, camera: _Camera[ImageT], depth: int | None = None) -> list[Pair[ImageT, InfoT]]:
         """Take images from the head of the queue while each is matched, given up, or pushed out by `depth` others."""
+        if depth is None:
+            depth = self._hold if camera.misses_in_a_row < _PATIENCE else 0
         pairs: list[Pair[ImageT, InfoT]] = []
-        while self._waiting:
-            head = self._waiting[0]
-            matched = head.stamp_ns in self._infos
-            if not matched and len(self._waiting) <= depth and not self._is_overtaken(head.stamp_ns):
+        while camera.waiting:
+            head = camera.waiting[0]
+            candidates = self._infos_of(frame_id, camera)
+            if len(camera.waiting) > depth or frame_id in self._infos:
+                camera.knows_its_infos = True
+            if camera.knows_its_infos:
+                match = next((infos for infos in candidates if head.stamp_ns in infos.by_stamp), None)
+                is_over = len(camera.waiting) > depth or any(infos.overtake(head.stamp_ns) for infos in candidates)
+            else:
+                match, is_over = None, False
+            if match is None and not is_over:
                 break
-            self._waiting.popleft()
-            camera_info = self._infos[head.stamp_ns] if matched else self._nearest(head.stamp_ns)
-            self._count(head.stamp_ns, matched)
-            pairs.append(Pair(head.stamp_ns, head.image, camera_info, matched))
+            camera.waiting.popleft()
+            if match is not None:
+                camera.lender = next(name for name, infos in self._infos.items() if infos is match)
+                info: InfoT | None = match.by_stamp[head.stamp_ns]
+            else:
+                info = _nearest(candidates, head.stamp_ns)
+            self._count(camera, head.stamp_ns, match is not None)
+            self.foreign_in_a_row = self.foreign_in_a_row + 1 if info is None and self._infos else 0
+            pairs.append(Pair(head.stamp_ns, head.image, info, match is not None))
         return pairs
 
-    def _is_overtaken(self, stamp_ns: int) -> bool:
-        return any(info_ns > stamp_ns for info_ns in self._infos)
-
-    def _nearest(self, stamp_ns: int) -> InfoT | None:
-        """Return the latest camera_info before a stamp, else the first after it, else one of before a jump, or None."""
-        if not self._infos:
-            return self._forgotten
-        earlier = [info_ns for info_ns in self._infos if info_ns < stamp_ns]
-        return self._infos[max(earlier) if earlier else min(self._infos)]
-
-    def _count(self, stamp_ns: int, matched: bool) -> None:
+    def _count(self, camera: _Camera[ImageT], stamp_ns: int, matched: bool) -> None:
         if matched:
             self.matched += 1
-            self.misses_in_a_row = 0
+            self.misses_in_a_row = camera.misses_in_a_row = 0
         else:
             self.unmatched += 1
             self.misses_in_a_row += 1
-            self._missed.append(stamp_ns)
+            camera.misses_in_a_row += 1
+            camera.missed.append(stamp_ns)
 
-    def _forget_after(self, stamp_ns: int) -> None:
-        for info_ns in [ns for ns in self._infos if ns > stamp_ns + _JUMP_NS]:
-            self._forgotten = self._infos.pop(info_ns)
+    def _forget_cameras(self) -> list[Pair[ImageT, InfoT]]:
+        """Forget frame_ids that no image has any more; return what waited there."""
+        pairs = []
+        for name in list(self._cameras)[:-1]:
+            camera = self._cameras[name]
+            if len(self._cameras) > _CAMERAS or self._images - camera.last_image > _FORGOTTEN:
+                pairs += self._completed(name, camera, depth=0)
+                del self._cameras[name]
+        return pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Waiting(Generic[ImageT]):
     stamp_ns: int
     image: ImageT
+
+
+@dataclass(slots=True, eq=False)
+class _Camera(Generic[ImageT]):
+    """The images of one frame_id.
+
+    Attributes
+    ----------
+    knows_its_infos : whether it is clear which camera_info are its own
+    lender : the frame_id of the camera_info that the last match had
+    missed : stamps of the last images without a match
+    last_ns, last_image : stamp and number of the last image
+    """
+
+    knows_its_infos: bool
+    lender: str | None = None
+    waiting: deque[_Waiting[ImageT]] = field(default_factory=deque)
+    missed: deque[int] = field(default_factory=lambda: deque(maxlen=_PATIENCE))
+    misses_in_a_row: int = 0
+    last_ns: int | None = None
+    last_image: int = 0
+
+
+class _Infos(Generic[InfoT]):
+    """The camera_info of one frame_id, by stamp, in order of arrival."""
+
+    def __init__(self) -> None:
+        self.by_stamp: OrderedDict[int, InfoT] = OrderedDict()
+        self.forgotten: InfoT | None = None
+        self._last_ns: int | None = None
+
+    def add(self, stamp_ns: int, camera_info: InfoT) -> None:
+        """Take the next one."""
+        if self._last_ns is not None and stamp_ns < self._last_ns - _JUMP_NS:
+            self.forget_after(stamp_ns)
+        self._last_ns = stamp_ns
+        self.by_stamp.pop(stamp_ns, None)
+        self.by_stamp[stamp_ns] = camera_info
+        if len(self.by_stamp) > _KEPT_INFOS:
+            self.by_stamp.popitem(last=False)
+
+    def overtake(self, stamp_ns: int) -> bool:
+        """Return whether one has a somewhat later stamp."""
+        return any(stamp_ns < info_ns <= stamp_ns + _JUMP_NS for info_ns in self.by_stamp)
+
+    def forget_after(self, stamp_ns: int) -> None:
+        """Forget those of before a jump back to a stamp, but for the newest."""
+        for info_ns in [ns for ns in self.by_stamp if ns > stamp_ns + _JUMP_NS]:
+            self.forgotten = self.by_stamp.pop(info_ns)
+
+
+def _nearest(candidates: Sequence[_Infos[InfoT]], stamp_ns: int) -> InfoT | None:
+    """Return the latest camera_info before a stamp, else the first after it, else one of before a jump, or None."""
+    stamps = [(info_ns, infos) for infos in candidates for info_ns in infos.by_stamp]
+    if not stamps:
+        return next((infos.forgotten for infos in candidates if infos.forgotten is not None), None)
+    earlier = [(info_ns, infos) for info_ns, infos in stamps if info_ns < stamp_ns]
+    info_ns, infos = max(earlier, key=_stamp) if earlier else min(stamps, key=_stamp)
+    return infos.by_stamp[info_ns]
+
+
+def _stamp(entry: tuple[int, object]) -> int:
+    return entry[0]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from imgu_ros.codec.header import Header, header_message
 from imgu_ros.perception.result import PoseStatus, Result, Stage, Status, TargetResult
 from imgu_ros.shown_text import shown
 
+#: So much of an encoding's name is shown.
+_SHOWN = 60
 #: diagnostic_msgs/DiagnosticStatus.level
 OK, WARN, ERROR = 0, 1, 2
 
@@ -37,6 +40,29 @@ def status_message(make: MessageFactory, header: Header, result: Result) -> Any:
         header=header_message(make, header),
         status=[_entry(make, header, result, target) for target in result.targets],
     )
+
+
+def held_up_message(make: MessageFactory, header: Header, names: Sequence[str], text: str) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray that says of each target that a frame, of this header, takes long."""
+    entries = [
+        make(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=WARN,
+            name=name,
+            message=text,
+            hardware_id=header.frame_id,
+            values=[make("diagnostic_msgs/msg/KeyValue", key="status", value="held_up")],
+        )
+        for name in names
+    ]
+    return make("diagnostic_msgs/msg/DiagnosticArray", header=header_message(make, header), status=entries)
+
+
+def image_words(message: Any) -> str:
+    """Return what an image message says it is, `1920 x 1080 bayer_rggb8` or its format; empty for other messages."""
+    if hasattr(message, "encoding"):
+        return f"{message.width} x {message.height} {shown(str(message.encoding), _SHOWN)}"
+    return shown(str(message.format), _SHOWN) if hasattr(message, "format") else ""
 
 
 def _entry(make: MessageFactory, header: Header, result: Result, target: TargetResult) -> Any:

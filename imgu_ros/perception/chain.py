@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,8 @@ from imgu_ros.vision.matching.matches import Matches
 _THOROUGH_EVERY = 6
 #: Sightings farther apart tell nothing about how a target moves.
 _STEADY_NS = 500_000_000
+#: So many cameras, by the frames' frame_id, are told apart.
+_CAMERAS = 8
 #: Stamps that jump back by more belong to another recording, or to the same one played again.
 JUMP_NS = 1_000_000_000
 
@@ -44,7 +47,7 @@ class Chain:
     Frames are expected in the order of time; the tracker remembers where targets were. Stamps that jump back by more
     than a second (a recording played in a loop) make it forget: the frames that follow are those of a new chain. A
     single stamp of 0 among others is none: the tracks go on after it. Where stamps do not rise, frames count as evenly
-    spaced.
+    spaced. Frames of several cameras, told by their frame_id, may come in turn: each has its own memory.
 
     Parameters
     ----------
@@ -56,17 +59,11 @@ class Chain:
     def __init__(self, parameters: Parameters, targets: Sequence[Target], parts: Parts | None = None) -> None:
         self._parameters = parameters
         self._targets = tuple(targets)
-        self._calibration = CalibrationCheck()
         self._seeker = Seeker(self._targets, parameters, parts)
-        self._tracks: list[Track | None] = []
-        self._seen: list[Sighting | None] = []
-        self._frames_without_search = 0
-        self._searches = 0
-        self._last_ns: int | None = None
-        self._times = FrameTimes()
         self._now_ns = 0
-        self._before_zero: _Memory | None = None
-        self.reset()
+        # By the frames' frame_id, that of the last frame last.
+        self._cameras: OrderedDict[str, _Memory] = OrderedDict()
+        self._memory = _Memory.empty(len(self._targets))
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -82,14 +79,8 @@ class Chain:
 
     def reset(self) -> None:
         """Forget all that earlier frames told."""
-        self._tracks = [None] * len(self._targets)
-        self._seen = [None] * len(self._targets)
-        self._frames_without_search = 0
-        self._searches = 0
-        self._last_ns = None
-        self._times = FrameTimes()
-        self._before_zero = None
-        self._calibration = CalibrationCheck()
+        self._cameras.clear()
+        self._memory = _Memory.empty(len(self._targets))
 
     def continue_from(self, before: Chain) -> None:
         """Go on where another chain stands: tracks of targets that both know by name and picture go on.
@@ -98,17 +89,26 @@ class Chain:
         seen of the calibration, until the camera changes.
         """
         self.reset()
-        self._last_ns = before._last_ns
-        self._times = before._times
-        self._calibration = before._calibration
-        if not self._parameters.tracking.enabled:
-            return
-        self._frames_without_search, self._searches = before._frames_without_search, before._searches
         known = {target.name: index for index, target in enumerate(before._targets)}
+        same: dict[int, int] = {}
         for index, target in enumerate(self._targets):
             at = known.get(target.name)
             if at is not None and target.image.shows_the_same(before._targets[at].image):
-                self._tracks[index], self._seen[index] = before._tracks[at], before._seen[at]
+                same[index] = at
+        for frame_id, memory in before._cameras.items():
+            self._cameras[frame_id] = self._continued(memory, same)
+            if memory is before._memory:
+                self._memory = self._cameras[frame_id]
+
+    def _continued(self, memory: _Memory, same: Mapping[int, int]) -> _Memory:
+        """Return what another chain remembers of a camera; `same`: indices of the targets, and what they were there."""
+        continued = _Memory.empty(len(self._targets))
+        continued.last_ns, continued.times, continued.calibration = memory.last_ns, memory.times, memory.calibration
+        if self._parameters.tracking.enabled:
+            continued.frames_without_search, continued.searches = memory.frames_without_search, memory.searches
+            for index, at in same.items():
+                continued.tracks[index], continued.seen[index] = memory.tracks[at], memory.seen[at]
+        return continued
 
     def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
         """Work on one frame.
@@ -121,8 +121,8 @@ class Chain:
         with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
         development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
         """
-        self._look_at_stamp(frame.stamp_ns)
-        self._now_ns = self._times.of(frame.stamp_ns)
+        self._look_at_header(frame.frame_id, frame.stamp_ns)
+        self._now_ns = self._memory.times.of(frame.stamp_ns)
         development = development or develop_frame(frame, self._parameters)
         clock = StageClock()
         clock.times_ns[Stage.DEVELOP] = development.took_ns
@@ -141,19 +141,21 @@ class Chain:
             total_ns=time.perf_counter_ns() - start,
         )
 
-    def _look_at_stamp(self, stamp_ns: int) -> None:
-        """Forget what was before a jump back in time, or remember what was before a frame without a stamp."""
-        before, last_ns = self._before_zero, self._last_ns
-        self._before_zero = None
+    def _look_at_header(self, frame_id: str, stamp_ns: int) -> None:
+        """Remember the frame's camera; forget what was before a jump back in time, but for a frame without a stamp."""
+        memory = self._cameras.get(frame_id) or _Memory.empty(len(self._targets))
+        before, last_ns = memory.before_zero, memory.last_ns
+        memory.before_zero = None
         if last_ns is not None and stamp_ns < last_ns - JUMP_NS:
-            memory = _Memory(last_ns, self._times, self._tracks, self._seen, self._calibration)
-            self.reset()
-            if stamp_ns == 0:
-                self._before_zero = memory
-        elif before is not None and stamp_ns >= before.last_ns - JUMP_NS:
-            self._times, self._tracks, self._seen = before.times, before.tracks, before.seen
-            self._calibration = before.calibration
-        self._last_ns = stamp_ns
+            before, memory = memory, _Memory.empty(len(self._targets))
+            memory.before_zero = before if stamp_ns == 0 else None
+        elif before is not None and before.last_ns is not None and stamp_ns >= before.last_ns - JUMP_NS:
+            memory = before
+        memory.last_ns = stamp_ns
+        self._memory = self._cameras[frame_id] = memory
+        self._cameras.move_to_end(frame_id)
+        if len(self._cameras) > _CAMERAS:
+            self._cameras.popitem(last=False)
 
     def _worked(
         self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
@@ -168,17 +170,18 @@ class Chain:
         if features is not None and due:
             covered = [result.outline for result in results if result is not None and result.outline is not None]
             view = View(frame, pictures, features, covered)
-            self._searches += 1
-            thorough = self._searches % _THOROUGH_EVERY == 0
+            self._memory.searches += 1
+            thorough = self._memory.searches % _THOROUGH_EVERY == 0
             for result in self._seeker.seek(view, missing, clock, thorough):
                 results[result.index] = result
         targets = tuple(
             result or TargetResult(target.name, index, Status.LOST, reason=UNLIKELY if due else NOT_DUE)
             for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
         )
-        self._frames_without_search = 0 if due or not missing else self._frames_without_search + 1
+        memory = self._memory
+        memory.frames_without_search = 0 if due or not missing else memory.frames_without_search + 1
         self._remember(targets)
-        targets = self._calibration.examined(frame.camera, targets)
+        targets = memory.calibration.examined(frame.camera, targets)
         return Result(
             frame=frame,
             targets=targets,
@@ -186,14 +189,15 @@ class Chain:
             pyramid=features.pyramid if features else None,
             keypoints=features.described.keypoints if features else None,
             descriptors=features.described.descriptors if features else None,
-            calibration=None if frame.camera is None else self._calibration.finding,
+            calibration=None if frame.camera is None else memory.calibration.finding,
             times_ns=clock.times_ns,
             total_ns=time.perf_counter_ns() - start,
         )
 
     def _followed(self, index: int, frame: Frame, pictures: Pictures, clock: StageClock) -> TargetResult | None:
         """Return the target where its track leads; None when there is no track or it does not hold."""
-        track, target, p = self._tracks[index], self._targets[index], self._parameters
+        memory = self._memory
+        track, target, p = memory.tracks[index], self._targets[index], self._parameters
         if track is None:
             return None
         try:
@@ -209,50 +213,59 @@ class Chain:
             confirmed_share=alignment.agreeing_share,
         )
         with clock.measures(Stage.POSE):
-            return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason, self._calibration)
+            return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason, memory.calibration)
 
     def _search_is_due(self, missing: Sequence[int]) -> bool:
         """Whether missing targets are to be looked for: at once when one was just lost or none is in view."""
         if not missing:
             return False
-        just_lost = any(self._tracks[index] is not None for index in missing)
+        just_lost = any(self._memory.tracks[index] is not None for index in missing)
         none_in_view = len(missing) == len(self._targets)
-        return just_lost or none_in_view or self._frames_without_search + 1 >= self._parameters.tracking.search_every
+        waited = self._memory.frames_without_search + 1
+        return just_lost or none_in_view or waited >= self._parameters.tracking.search_every
 
     def _remember(self, targets: Sequence[TargetResult]) -> None:
         if not self._parameters.tracking.enabled:
             return
         for result in targets:
-            track = self._tracks[result.index]
+            track = self._memory.tracks[result.index]
             if result.homography is None:
-                self._tracks[result.index] = None
+                self._memory.tracks[result.index] = None
                 continue
             if track is None or result.status is Status.DETECTED:
                 sighting = Sighting(result.homography.H, self._now_ns)
-                self._tracks[result.index] = Track([sighting, *self._shortly_before(result.index)])
+                self._memory.tracks[result.index] = Track([sighting, *self._shortly_before(result.index)])
             else:
                 target = self._targets[result.index]
-                self._tracks[result.index] = track.continued(target, result.homography.H, self._now_ns)
-            self._seen[result.index] = Sighting(result.homography.H, self._now_ns)
+                self._memory.tracks[result.index] = track.continued(target, result.homography.H, self._now_ns)
+            self._memory.seen[result.index] = Sighting(result.homography.H, self._now_ns)
 
     def _shortly_before(self, index: int) -> list[Sighting]:
         """Return where a target was seen last, when that is no longer ago than it can move on steadily.
 
         A target that moves fast has moved far when it was detected: two detections tell where it will be.
         """
-        seen = self._seen[index]
+        seen = self._memory.seen[index]
         return [seen] if seen is not None and 0 < self._now_ns - seen.stamp_ns <= _STEADY_NS else []
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _Memory:
-    """What a chain knew before a frame without a stamp."""
+    """What a chain knows of one camera: `before_zero` is what it knew before a frame without a stamp."""
 
-    last_ns: int
-    times: FrameTimes
     tracks: list[Track | None]
     seen: list[Sighting | None]
+    times: FrameTimes
     calibration: CalibrationCheck
+    frames_without_search: int = 0
+    searches: int = 0
+    last_ns: int | None = None
+    before_zero: _Memory | None = None
+
+    @classmethod
+    def empty(cls, targets: int) -> _Memory:
+        """Return that of a camera that is new, with so many targets."""
+        return cls([None] * targets, [None] * targets, FrameTimes(), CalibrationCheck())
 
 
 def rejected_targets(targets: Sequence[Target], reason: str) -> tuple[TargetResult, ...]:

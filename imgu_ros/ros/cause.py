@@ -19,9 +19,11 @@ class Kind(StrEnum):
     LISTENER = "listener"  #: somebody listens with a quality of service that no output fits
     IDLE = "idle"  #: nobody listens
     CLOCK = "clock"  #: use_sim_time, and /clock stands still
+    MEMORY = "shared_memory"  #: it is full
     NO_PUBLISHER = "no_publisher"
     WRONG_TYPE = "wrong_type"
     QOS = "qos"  #: the input's publishers offer less than is asked for
+    HELD_UP = "held_up"  #: the process stood still, or one frame holds the worker
     LOST = "lost"  #: images are lost on the way
     SILENT = "silent"  #: a publisher, and no images
     REJECTED = "rejected"  #: images come and cannot be read
@@ -32,6 +34,7 @@ class Kind(StrEnum):
     NOT_SEEN = "not_seen"
     NO_POSE = "no_pose"  #: a target is seen, and its pose is ambiguous or its size unknown
     FRAMES = "frames"  #: there are poses, and no place for them among the frames of the map and of /tf
+    PUBLISHERS = "publishers"  #: poses come out, and several cameras share a topic
     FRAME_ID = "frame_id"  #: poses come out, and the images' frame_id is no name of a frame
     STAMPS = "stamps"  #: poses come out, and the images' stamps do not rise, or are of another clock
     SIZE = "size"  #: poses come out, and a target is implausibly far for its width

@@ -14,7 +14,7 @@ from imgu_ros.perception.result import Result
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.clock_cause import other_clock
 from imgu_ros.ros.input import ImageInput
-from imgu_ros.ros.input_causes import camera_info_causes, header_causes, image_causes
+from imgu_ros.ros.input_causes import camera_info_causes, header_causes, image_causes, publisher_causes
 from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.worker import Worker
 
@@ -26,11 +26,13 @@ _OF_INPUT = frozenset(
         Kind.NO_PUBLISHER,
         Kind.WRONG_TYPE,
         Kind.QOS,
+        Kind.HELD_UP,
         Kind.LOST,
         Kind.SILENT,
         Kind.REJECTED,
         Kind.UNPAIRED,
         Kind.CLOCK,
+        Kind.PUBLISHERS,
         Kind.FRAME_ID,
         Kind.STAMPS,
     )
@@ -93,16 +95,20 @@ def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> 
         return misfits or [Cause(Kind.IDLE, f"idle: no subscribers in {domain_text(node)}")]
     on_the_way = list(image_causes(node, source, now))
     stopped = [] if state.stopped_clock is None else [state.stopped_clock]
-    if on_the_way and on_the_way[0].kind is not Kind.LOST:
+    long = worker.in_hand.long()
+    held_up = [] if long is None else [Cause(Kind.HELD_UP, long.text, case="frame")]
+    if on_the_way and on_the_way[0].kind not in (Kind.LOST, Kind.HELD_UP):
         # A player that has not begun sends neither images nor time.
-        return [*stopped, *on_the_way, *misfits]
+        return [*held_up, *stopped, *on_the_way, *misfits]
     frames = [Cause(Kind.FRAMES, state.frames)] if state.frames else []
     return [
+        *held_up,
         *_of_frames(node, source, worker, now),
         *frames,
         *on_the_way,
         *stopped,
         *misfits,
+        *publisher_causes(node, source),
         *header_causes(source, "" if worker.parameters is None else worker.parameters.frames.camera),
         *other_clock(node, worker.age),
         *(Cause(Kind.SIZE, text, case=name) for name, text in list(worker.sizes.warnings.items())),
@@ -192,7 +198,7 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker
         "frames": source.arrivals.count,
         "lost": counters.lost,
         "skipped": source.slot.skipped,
-        "rejected": worker.rejected,
+        "rejected": worker.rejected + source.unread,
         "unknown_encodings": worker.unknown_encodings,
         "camera_info_rate_hz": source.infos.rate_hz(now),
         "unmatched_camera_info": source.unmatched,

@@ -10,11 +10,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from imgu_ros.codec.diagnostics import diagnostics_message
-from imgu_ros.ros.cause import Cause, CauseLog
+from imgu_ros.ros.cause import Cause, CauseLog, Kind
 from imgu_ros.ros.clock_cause import ClockWatch
 from imgu_ros.ros.diagnostics import NodeState, causes, health
 from imgu_ros.ros.input import ImageInput
 from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.middleware import full_memory
 from imgu_ros.ros.qos import no_events, output_qos
 from imgu_ros.ros.worker import Worker
 
@@ -56,16 +57,23 @@ class Explainer:
     def _look(self) -> None:
         now = time.monotonic()
         state = self._state(self._clock.cause(now))
-        if not (state.listened or state.misfits):
-            return
-        for cause in self._log.news(causes(state, self._node, self._source, self._worker), now):
+        found = self._causes(state) if state.listened or state.misfits else _memory_causes()
+        for cause in self._log.news(found, now):
             self._node.get_logger().warning(cause.text)
 
     def _publish(self) -> None:
         if not self._publisher.get_subscription_count():
             return
         state = self._state(self._clock.cause(time.monotonic()))
-        found = causes(state, self._node, self._source, self._worker)
+        found = self._causes(state)
         entries = health(state, found, self._source, self._worker)
         stamp_ns = self._node.get_clock().now().nanoseconds
         self._publisher.publish(diagnostics_message(make_message, stamp_ns, entries))
+
+    def _causes(self, state: NodeState) -> list[Cause]:
+        return [*causes(state, self._node, self._source, self._worker), *_memory_causes()]
+
+
+def _memory_causes() -> list[Cause]:
+    full = full_memory()
+    return [Cause(Kind.MEMORY, full)] if full else []

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
@@ -18,16 +19,20 @@ from imgu_ros.codec.header_checks import HeaderChecks
 from imgu_ros.codec.image import data_bytes
 from imgu_ros.codec.pairing import Pair, Pairing
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.middleware import large_message_warnings
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.offers import Wanted
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, image_qos, overridable, override_names
+from imgu_ros.ros.standstill import Standstill
 
 #: An image whose camera_info has not come by then goes without: where somebody publishes camera_info, and where nobody.
 _PATIENCE_S = 1.0
 _SHORT_PATIENCE_S = 0.3
+#: More is no camera_info: those of some time are kept.
+_INFO_BYTES = 16_384
 #: Between two warnings of messages that cannot be read.
 _REPEAT_S = 10.0
 
@@ -67,8 +72,11 @@ class ImageInput:
     Attributes
     ----------
     slot : where the worker takes from
+    standstill : whether the process stood still; what is from before is skipped
+    limits : `message_mb` bounds an image
     arrivals, infos : images and camera_info delivered
     counters : lost messages and incompatible QoS
+    unread : image messages that could not be read
     unreadable : why the last image message could not be read; "" when it could
     topics : what is subscribed
     headers : what is odd about the headers of images and camera_info, since the topics were subscribed last
@@ -76,11 +84,14 @@ class ImageInput:
     """
 
     def __init__(self, node: Node, transport: str) -> None:
-        self.slot: NewestSlot[Job] = NewestSlot()
+        self.standstill = Standstill()
+        self.slot: NewestSlot[Job] = NewestSlot(is_old=lambda job: self.standstill.precedes(job.received_s))
+        self.limits = LimitsParameters()
         self.arrivals = RateMeter()
         self.infos = RateMeter()
         self.counters = QosCounters()
         self.unreadable = ""
+        self.unread = 0
         self.topics = input_topics(node, transport)
         self.headers = HeaderChecks(self.topics.image, self.topics.camera_info)
         self.group = MutuallyExclusiveCallbackGroup()
@@ -140,13 +151,14 @@ class ImageInput:
         self._pairing = Pairing(expects_camera_info=self._expects_camera_info)
         self.headers = HeaderChecks(self.topics.image, self.topics.camera_info)
         self._opened_s = time.monotonic()
+        self.standstill.begin()
         # The small topic first: its subscription should be ready when the first image comes.
         if self._expects_camera_info:
             self._camera_info = self._subscribed_camera_info()
         self._image = self._node.create_subscription(
             message_class(self.topics.image_type),
             self.topics.image,
-            self._on_image,
+            cast(Any, self._on_image),  # rclpy gives the message's info to who takes two arguments
             image_qos(),
             callback_group=self.group,
             event_callbacks=self.counters.subscription_callbacks(),
@@ -176,6 +188,7 @@ class ImageInput:
             if subscription is not None:
                 self._node.destroy_subscription(subscription)
         self._image = self._camera_info = None
+        self.standstill.end()
         self.unreadable = ""
         self.slot.clear()
 
@@ -183,6 +196,8 @@ class ImageInput:
         """Let an image go that has waited too long for its camera_info; to be called a few times a second."""
         if self._image is None:
             return
+        if held_up := self.standstill.news():
+            self._node.get_logger().warning(held_up)
         expected = self._node.count_publishers(self.topics.camera_info) > 0
         overdue = time.monotonic() - self._last_s > (_PATIENCE_S if expected else _SHORT_PATIENCE_S)
         # Twice in a row: timers come first when the process was held up, and the camera_info may be there already.
@@ -196,7 +211,7 @@ class ImageInput:
 
     def silent_s(self, now_s: float) -> float:
         """Return for how long no image has come although the topics are subscribed."""
-        return now_s - max(self._opened_s, self._last_s) if self.is_open else 0.0
+        return now_s - max(self._opened_s, self._last_s, self.standstill.ended_s) if self.is_open else 0.0
 
     def wanted_images(self) -> Wanted:
         """Return what the image subscription asks for; RuntimeError while there is none."""
@@ -218,9 +233,16 @@ class ImageInput:
             raw=True,
         )
 
-    def _on_image(self, data: bytes) -> None:
-        message, self.unreadable = self._read(self.topics.image, self.topics.image_type, data)
+    def _on_image(self, data: bytes, info: Mapping[str, Any]) -> None:
+        if self.standstill.is_old(info["source_timestamp"]):
+            self.slot.skip()
+            return
+        most_bytes = 1_000_000 * self.limits.message_mb
+        message, self.unreadable = self._read(
+            self.topics.image, self.topics.image_type, data, most_bytes, " (limits.message_mb)"
+        )
         if message is None:
+            self.unread += 1
             return
         now = time.monotonic()
         self._last_s = now
@@ -230,23 +252,28 @@ class ImageInput:
             for warning in large_message_warnings(len(data_bytes(message))):
                 self._node.get_logger().warning(warning)
         self.headers.add_image(message)
-        stamp_ns = decode_header(message).stamp_ns
-        self._hand_over(self._pairing.add_image(stamp_ns, Job(message, None, now)))
+        header = decode_header(message)
+        self._hand_over(self._pairing.add_image(header.stamp_ns, Job(message, None, now), header.frame_id))
 
     def _on_camera_info(self, data: bytes) -> None:
-        message, _ = self._read(self.topics.camera_info, CAMERA_INFO_TYPE, data)
+        message, _ = self._read(self.topics.camera_info, CAMERA_INFO_TYPE, data, _INFO_BYTES)
         if message is None:
             return
         self.infos.tick(time.monotonic())
         self.headers.add_camera_info(message)
-        self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
+        header = decode_header(message)
+        self._hand_over(self._pairing.add_camera_info(header.stamp_ns, message, header.frame_id))
 
-    def _read(self, topic: str, type_name: str, data: bytes) -> tuple[Any | None, str]:
+    def _read(
+        self, topic: str, type_name: str, data: bytes, most_bytes: int, limit: str = ""
+    ) -> tuple[Any | None, str]:
         """Return a message, or None and why its bytes are none of its type.
 
         rclpy's own conversion copies an image's pixels twice more, and passes over what it cannot read without a word.
         """
         try:
+            if len(data) > most_bytes:
+                raise BagError(f"{len(data) / 1e6:.1f} MB; need at most {most_bytes / 1e6:g}{limit}")
             return message_from_cdr(type_name, data), ""
         except BagError as error:
             said = f"{topic}: {error}"

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rclpy.node import Node
 
+from imgu_ros.codec.header_checks import Oddity, what_becomes
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.input import ImageInput
 from imgu_ros.ros.middleware import against_loss
 from imgu_ros.ros.offers import is_latched, why_not_offered
-from imgu_ros.ros.reach import another_user, has_no_names
+from imgu_ros.ros.reach import NO_NAME, another_user, has_no_names
 
 #: Nodes on one machine find each other within this time.
 _DISCOVERY_S = 1.0
@@ -24,6 +25,7 @@ _FEWEST_LOST = 5
 #: So many images in a row without a camera_info of their stamp are no accident.
 _UNPAIRED = 5
 _SECOND_NS = 1e9
+_MOST_NAMED = 4
 #: No delay is as long.
 _OTHER_CLOCK_S = 60.0
 
@@ -39,6 +41,10 @@ def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause
         if cause is not None:
             yield cause
             return
+    held_up = source.standstill.lately()
+    if held_up:
+        yield Cause(Kind.HELD_UP, held_up, is_logged=True)
+        return
     lost = source.counters.lost_lately(now_s)
     if silent_s >= max(_SILENCE_S, _usual_silence_s(source, now_s)):
         yield _silence(node, source, silent_s, lost, now_s)
@@ -73,9 +79,38 @@ def camera_info_causes(node: Node, source: ImageInput, now_s: float) -> Iterator
         )
 
 
+def publisher_causes(node: Node, source: ImageInput) -> Iterator[Cause]:
+    """Yield that several nodes publish the image or the camera_info topic, or that images of several cameras come."""
+    cameras = source.headers.cameras
+    topics = [source.topics.image, *filter(None, [source.camera_info_topic])]
+    shared: dict[str, list[str]] = {}
+    for topic in topics:
+        names = _publishing_nodes(node, topic)
+        if len(names) > 1:
+            shared.setdefault(f"{len(names)} nodes ({_named(names)})", []).append(topic)
+    told = [f"{nodes} publish {' and '.join(of)}" for nodes, of in shared.items()]
+    if cameras and not told:
+        told = [f"{source.topics.image} carries images of several cameras"]
+    if told:
+        yield Cause(Kind.PUBLISHERS, f"{'; '.join(told)}: {what_becomes(cameras)}")
+
+
+def _publishing_nodes(node: Node, topic: str) -> list[str]:
+    # A node that was killed is in the graph for a while after it has started again.
+    found = {f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in node.get_publishers_info_by_topic(topic)}
+    return sorted(name for name in found if NO_NAME not in name)
+
+
+def _named(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more
+
+
 def header_causes(source: ImageInput, camera_frame: str) -> Iterator[Cause]:
     """Yield what is odd about the headers of the images that come; `camera_frame` is the parameter `frames.camera`."""
     for oddity, text in source.headers.told(camera_frame, lately=True).items():
+        if oddity is Oddity.SHARED:
+            continue  # told with the names of the publishers
         kind = Kind.FRAME_ID if oddity.is_about_frames else Kind.STAMPS
         yield Cause(kind, text, case=oddity.value)
 

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.ros.beside import Beside
-from imgu_ros.ros.middleware import profile_line
+from imgu_ros.ros.middleware import lacks_memory, profile_line
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.parameter_sections import unheeded_parameters
 from imgu_ros.ros.parameters import ParameterServer
@@ -241,7 +241,7 @@ def run_managed(make: Callable[[], ManagedNode[Any]], ros_arguments: Sequence[st
 
     def make_node() -> ManagedNode[Any]:
         node = make()
-        node.get_logger().info(profile_line())
+        (node.get_logger().warning if lacks_memory() else node.get_logger().info)(profile_line())
         for line in unheeded_parameters(ros_arguments, node.get_fully_qualified_name()):
             node.get_logger().warning(line)
         return node

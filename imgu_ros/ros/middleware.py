@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import imgu_ros
-from imgu_ros.errors import FileError
+from imgu_ros.errors import FileError, ImguError
 
 #: The environment variable with which Fast DDS loads a profile; and what it is called in Fast DDS 3.
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -32,6 +32,10 @@ _FRAMES_IN_FLIGHT = 3
 _OVERHEAD = 1.1
 _SHARED_MEMORY = Path("/dev/shm")
 _ROOM = "Docker: --shm-size=512m"
+#: With less no process gets any shared memory for what it sends.
+_FULL_BYTES = 1_000_000
+#: The tracing of ROS 2 (LTTng) writes a page when it is loaded, unless another process did; without room for it SIGBUS.
+_TRACING, _TRACING_BYTES = "lttng-ust-wait-*", 16_384
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,37 @@ def set_profile() -> None:
     if profile is not None:
         for name in _VARIABLES:
             os.environ[name] = str(config_file(profile.name))
+
+
+def require_room_to_start() -> None:
+    """Refuse to load ROS where that ends with a bus error; to be called before rclpy is imported.
+
+    Raises
+    ------
+    ImguError
+        If the shared memory is full.
+    """
+    memory = shared_memory()
+    if memory is None or memory.free >= _TRACING_BYTES:
+        return
+    if not any(path.stat().st_blocks for path in _SHARED_MEMORY.glob(_TRACING)):
+        raise ImguError(f"{_full(memory)}: ROS would end with a bus error; {_FREE_IT}")
+
+
+def full_memory() -> str:
+    """Return that the shared memory is full, and what to do; empty when it is not, or nothing depends on it."""
+    memory = shared_memory() if is_fast_dds() else None
+    if memory is None or memory.free >= _FULL_BYTES:
+        return ""
+    return (
+        f"{_full(memory)}: processes that start now end with a bus error, or send large messages without shared memory "
+        f"and lose them; {_FREE_IT}"
+    )
+
+
+def lacks_memory() -> bool:
+    """Return whether no profile is in force because the shared memory is too small."""
+    return _ours() is None and not _choice_of_the_user() and _fitting() is None
 
 
 def profile_line() -> str:
@@ -120,7 +155,8 @@ def large_message_warnings(message_bytes: int) -> list[str]:
     if ours is None:
         return [f"images of {size} and no DDS profile: the default shared memory of 512 KB loses frames; {_turn_on()}"]
     if message_bytes * _FRAMES_IN_FLIGHT > ours.segment_bytes:
-        return [f"images of {size} and shared memory of {ours.segment_bytes / 1e6:.0f} MB: frames get lost; {_more()}"]
+        said = f"images of {size} and shared memory of {ours.segment_bytes / 1e6:.0f} MB: frames get lost"
+        return [f"{said}; {_more() if ours is not PROFILES[0] else _larger_segment(message_bytes)}"]
     return []
 
 
@@ -133,8 +169,10 @@ def against_loss() -> str:
             return _too_little_memory()
         return f"images larger than the shared memory of 512 KB get lost; {_turn_on()}"
     memory = shared_memory()
-    room = "" if memory is None or memory.total >= PROFILES[0].least_total_bytes else f"; {_more()}"
-    return f"this process has a DDS profile; {_turn_on()}{room}"
+    room = f"it is for images of at most {PROFILES[0].segment_bytes / _FRAMES_IN_FLIGHT / 1e6:.0f} MB"
+    if memory is not None and memory.total < PROFILES[0].least_total_bytes:
+        room = _more()
+    return f"this process has a DDS profile; {_turn_on()}; {room}"
 
 
 def shared_memory() -> SharedMemory | None:
@@ -190,6 +228,18 @@ def _turn_on() -> str:
 def _more() -> str:
     memory = shared_memory()
     return f"{_SHARED_MEMORY} has {memory.total / 1e6 if memory else 0:.0f} MB; give it more ({_ROOM})"
+
+
+def _larger_segment(message_bytes: int) -> str:
+    need = f"segment_size of {message_bytes * _FRAMES_IN_FLIGHT} in a copy of {profile_path()}"
+    return f"need a {need}, and {PROFILE_VARIABLE} set to it in every process, the camera's too"
+
+
+def _full(memory: SharedMemory) -> str:
+    return f"{_SHARED_MEMORY} is full: {memory.total / 1e6:.0f} MB, {memory.free / 1e6:.1f} MB free"
+
+
+_FREE_IT = f"remove what fills it (ls -lS {_SHARED_MEMORY}; fastdds shm clean), or give it more ({_ROOM})"
 
 
 def _too_little_memory() -> str:

@@ -27,12 +27,19 @@ class NewestSlot(Generic[T]):
     ----------
     patience_s : how long a worker may be behind before what is old gives way
     clock : tells the time, s
+    is_old : tells whether an item is not worth taking any more
     """
 
-    def __init__(self, patience_s: float = _PATIENCE_S, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        patience_s: float = _PATIENCE_S,
+        clock: Callable[[], float] = time.monotonic,
+        is_old: Callable[[T], bool] = lambda _: False,
+    ) -> None:
         self._condition = threading.Condition()
         self._patience_s = patience_s
         self._clock = clock
+        self._is_old = is_old
         self._waiting: deque[T] = deque()
         # Since when the worker has not taken all that came; None: it has.
         self._behind_since_s: float | None = None
@@ -43,6 +50,11 @@ class NewestSlot(Generic[T]):
     def skipped(self) -> int:
         """Items that gave way before anybody took them."""
         return self._skipped
+
+    def skip(self) -> None:
+        """Count an item as skipped that is not worth handing over."""
+        with self._condition:
+            self._skipped += 1
 
     def put(self, item: T) -> None:
         """Hand over an item."""
@@ -56,13 +68,17 @@ class NewestSlot(Generic[T]):
     def take(self) -> T | None:
         """Wait for an item and take it; None once the slot is closed."""
         with self._condition:
-            if not self._waiting:
-                self._behind_since_s = None
-            self._condition.wait_for(lambda: self._waiting or self._closed)
-            if self._closed:
-                return None
-            self._give_way()
-            return self._waiting.popleft()
+            while True:
+                if not self._waiting:
+                    self._behind_since_s = None
+                self._condition.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return None
+                self._give_way()
+                item = self._waiting.popleft()
+                if not self._is_old(item):
+                    return item
+                self._skipped += 1
 
     def clear(self) -> None:
         """Drop what is held; it does not count as skipped."""

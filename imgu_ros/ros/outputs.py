@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from imgu_ros.codec.geometry import PathHistory, odometry_message, tf_message
+from imgu_ros.codec.header import Header
 from imgu_ros.codec.results import (
     FRAME_OUTPUTS,
     TARGET_OUTPUTS,
@@ -22,6 +23,7 @@ from imgu_ros.codec.results import (
     result_header,
     target_transforms,
 )
+from imgu_ros.codec.status import held_up_message
 from imgu_ros.errors import EstimationError
 from imgu_ros.params import Parameters
 from imgu_ros.perception.map_pose import camera_in_map
@@ -160,6 +162,11 @@ class Outputs:
         """Publish what is to be said about a frame that could not be read: its status."""
         result = self._in_camera_frame(result)
         self.offer("status", partial(FRAME_OUTPUTS["status"].message, make_message, result))
+
+    def publish_held_up(self, header: Header, text: str) -> None:
+        """Publish that a frame takes long: its status, from the executor's thread while the worker is at it."""
+        header = replace(header, frame_id=self._parameters.frames.camera or header.frame_id)
+        self.offer("status", partial(held_up_message, make_message, header, self._names, text))
 
     def listened(self, topic: str) -> bool:
         """Return whether anybody listens to a topic."""

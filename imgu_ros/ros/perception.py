@@ -26,6 +26,8 @@ from imgu_ros.ros.worker import Handlers, Worker
 #: Between two looks for listeners: while there are some, and while there are none and the node is to cost little.
 _WATCH_S = 0.1
 _REST_S = 0.2
+#: Between two messages that one frame still holds the worker.
+_HELD_UP_S = 1.0
 
 
 def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
@@ -63,6 +65,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
         )
         self._explainer = Explainer(self, self._input, self._worker, self._state)
         self._watch_timer = self.create_timer(_REST_S, self._watch, clock=self._steady)
+        self.create_timer(_HELD_UP_S, self._tell_held_up, clock=self._steady)
         self._create_slow_service("~/reload", self._reload)
         self._create_slow_service("~/set_target_from_view", self._set_target_from_view)
 
@@ -128,6 +131,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
             except ImguError as error:
                 self._log_failure(f"parameters: {error}")
                 return
+        self._input.limits = self._server.parameters.limits
         wanted = self._server.parameters.camera.info_file
         # A file that has vanished since it was named: frames are read as before.
         self._input.expect_camera_info(not (self._worker.info_file if self._worker.reading_problem else wanted))
@@ -160,6 +164,11 @@ class PerceptionNode(ManagedNode[ImageInput]):
         self._log_rejected(result.reason)
         if self._outputs is not None:
             self._outputs.publish_rejected(result)
+
+    def _tell_held_up(self) -> None:
+        frame = self._worker.in_hand.long()
+        if frame is not None and self._outputs is not None:
+            self._outputs.publish_held_up(frame.header, frame.text)
 
     def _needs_keypoints(self) -> bool:
         return self._outputs is not None and self._outputs.needs_keypoints()

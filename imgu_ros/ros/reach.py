@@ -23,7 +23,7 @@ _BASE_PORT, _DOMAIN_PORTS, _FIRST_UNICAST = 7400, 250, 10
 #: Beyond it ports are those that Linux gives to anybody.
 _LARGEST_DOMAIN = 101
 _MOST_NAMED = 5
-_NO_NAME = "_NODE_NAME_UNKNOWN_"
+NO_NAME = "_NODE_NAME_UNKNOWN_"
 
 
 def domain_id(node: Node) -> int:
@@ -77,7 +77,7 @@ def other_domains(own: int, table: Path = _UDP) -> list[int]:
 
 def has_no_names(endpoints: Sequence[Any]) -> bool:
     """Return whether endpoints are known, and the name of none of their nodes: it comes the way that messages come."""
-    return bool(endpoints) and all(endpoint.node_name == _NO_NAME for endpoint in endpoints)
+    return bool(endpoints) and all(endpoint.node_name == NO_NAME for endpoint in endpoints)
 
 
 def another_user(nameless: bool) -> str:

@@ -18,6 +18,7 @@ from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutEx
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 #: How long services, timers and parameters may wait while frames come.
 _REST_PERIOD_S = 0.05
@@ -142,7 +143,11 @@ class _FrameWait:
                 (one, one.handle.take_message(one.msg_type, one.raw)) for one in waiting if one.handle.pointer in ready
             ]
         for one, message in taken:
-            if message is not None:
+            if message is None:
+                continue
+            if one._callback_type is Subscription.CallbackType.WithMessageInfo:
+                one.callback(*message)
+            else:
                 one.callback(message[0])
 
     def wake(self) -> None:

@@ -22,6 +22,7 @@ from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.offers import Wanted, why_not_offered
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, overridable, override_names
 from imgu_ros.ros.reach import another_user, has_no_names
+from imgu_ros.ros.standstill import Standstill
 
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
@@ -85,6 +86,7 @@ class StageInput:
     topics : what is subscribed
     is_complete : tells when a set can be worked on
     slot : where the worker takes from
+    standstill : whether the process stood still; what is from before is skipped
 
     Attributes
     ----------
@@ -94,7 +96,14 @@ class StageInput:
     topics : as given
     """
 
-    def __init__(self, node: Node, topics: StageTopics, is_complete: IsComplete, slot: NewestSlot[StageJob]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        topics: StageTopics,
+        is_complete: IsComplete,
+        slot: NewestSlot[StageJob],
+        standstill: Standstill,
+    ) -> None:
         self.arrivals = RateMeter()
         self.counters = QosCounters()
         self.group = MutuallyExclusiveCallbackGroup()
@@ -102,6 +111,7 @@ class StageInput:
         self._node = node
         self._is_complete = is_complete
         self._slot = slot
+        self.standstill = standstill
         self._subscriptions: list[Subscription] = []
         self._waiting: OrderedDict[int, dict[str, Any]] = OrderedDict()
         self._pairing: Pairing[StageJob, Any] = Pairing(expects_camera_info=bool(topics.camera_info))
@@ -138,6 +148,7 @@ class StageInput:
         if self._subscriptions:
             return
         self._opened_s = time.monotonic()
+        self.standstill.begin()
         self._came_s = {}
         self._absent = frozenset()
         self._pairing = Pairing(expects_camera_info=bool(self.topics.camera_info))
@@ -152,6 +163,7 @@ class StageInput:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
+        self.standstill.end()
         self._waiting.clear()
         self._slot.clear()
 
@@ -159,6 +171,8 @@ class StageInput:
         """Go on without what does not come; to be called a few times a second."""
         if not self._subscriptions:
             return
+        if held_up := self.standstill.news():
+            self._node.get_logger().warning(held_up)
         now = time.monotonic()
         if now - self._opened_s > _ABSENT_S:
             absent = frozenset(f.name for f in self.topics.feeds if not self._node.count_publishers(f.topic))
@@ -178,7 +192,7 @@ class StageInput:
     def why_silent(self) -> str:
         """Return why there is nothing to work on; empty when there is, or may still be."""
         now = time.monotonic()
-        if not self._subscriptions or now - max(self._opened_s, self._last_s) < _DISCOVERY_S:
+        if not self._subscriptions or now - max(self._opened_s, self._last_s, self.standstill.ended_s) < _DISCOVERY_S:
             return ""
         silent = [feed for feed in self.topics.feeds if now - self._came_s.get(feed.name, 0.0) > _DISCOVERY_S]
         for feed in silent:
@@ -192,7 +206,7 @@ class StageInput:
             return f"{said}: {why}" if why else said
         return f"stamps of {', '.join(feed.topic for feed in self.topics.feeds)} do not pair; need equal ones"
 
-    def _subscribe(self, type_name: str, topic: str, receive: Callable[[Any], None], qos: QoSProfile) -> None:
+    def _subscribe(self, type_name: str, topic: str, receive: Callable[..., None], qos: QoSProfile) -> None:
         self._subscriptions.append(
             self._node.create_subscription(
                 message_class(type_name),
@@ -205,8 +219,14 @@ class StageInput:
             )
         )
 
-    def _receiver(self, name: str) -> Callable[[Any], None]:
-        def receive(message: Any) -> None:
+    def _receiver(self, name: str) -> Callable[[Any, Mapping[str, Any]], None]:
+        is_first = name == self.topics.feeds[0].name
+
+        def receive(message: Any, info: Mapping[str, Any]) -> None:
+            if self.standstill.is_old(info["source_timestamp"]):
+                if is_first:
+                    self._slot.skip()
+                return
             now = time.monotonic()
             self._came_s[name] = now
             stamp_ns = decode_header(message).stamp_ns
@@ -230,10 +250,12 @@ class StageInput:
             self._incomplete += 1
         self.arrivals.tick(now)
         self._last_s = now
-        self._hand_over(self._pairing.add_image(stamp_ns, StageJob(messages, None, now)))
+        frame_id = decode_header(next(iter(messages.values()))).frame_id
+        self._hand_over(self._pairing.add_image(stamp_ns, StageJob(messages, None, now), frame_id))
 
     def _on_camera_info(self, message: Any) -> None:
-        self._hand_over(self._pairing.add_camera_info(decode_header(message).stamp_ns, message))
+        header = decode_header(message)
+        self._hand_over(self._pairing.add_camera_info(header.stamp_ns, message, header.frame_id))
 
     def _hand_over(self, pairs: list[Pair[StageJob, Any]]) -> None:
         for pair in pairs:

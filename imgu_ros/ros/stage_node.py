@@ -13,8 +13,10 @@ from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters
 from imgu_ros.perception.remarks import Remarks
 from imgu_ros.perception.targets import TargetImage
+from imgu_ros.ros.in_hand import InHand
 from imgu_ros.ros.managed_node import ManagedNode, run_managed
 from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.middleware import full_memory
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.qos import no_events, output_qos
@@ -22,6 +24,7 @@ from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.stage import Stage
 from imgu_ros.ros.stage_health import StageFigures, StageState, stage_health
 from imgu_ros.ros.stage_input import StageInput, StageJob
+from imgu_ros.ros.standstill import Standstill
 from imgu_ros.ros.stopping import StopSignal
 
 _WATCH_S = 0.1
@@ -55,7 +58,9 @@ class StageNode(ManagedNode[StageInput]):
         self._figures = StageFigures()
         self._images: tuple[TargetImage, ...] = ()
         self._used: Parameters | None = None
-        self._slot: NewestSlot[StageJob] = NewestSlot()
+        self._standstill = Standstill()
+        self._in_hand = InHand()
+        self._slot: NewestSlot[StageJob] = NewestSlot(is_old=lambda job: self._standstill.precedes(job.received_s))
         self._input = self._made_input()
         self._diagnostics = self.create_publisher(
             message_class("diagnostic_msgs/msg/DiagnosticArray"),
@@ -95,7 +100,7 @@ class StageNode(ManagedNode[StageInput]):
 
     def _made_input(self) -> StageInput:
         topics = self._stage.topics(self, self._server.parameters)
-        return StageInput(self, topics, self._stage.is_complete, self._slot)
+        return StageInput(self, topics, self._stage.is_complete, self._slot, self._standstill)
 
     def _load(self) -> None:
         parameters = self._server.reload()
@@ -156,6 +161,7 @@ class StageNode(ManagedNode[StageInput]):
                 with self._between_frames:
                     if self._outputs is None or self._closing:
                         continue
+                    self._in_hand.begin(next(iter(job.messages.values())))
                     self._stage.work(job, self._outputs)
                 self._figures.worked(job.received_s, time.monotonic())
                 for line in self._remarks.news(self._stage.remarks):
@@ -167,6 +173,8 @@ class StageNode(ManagedNode[StageInput]):
                 # One bad message must not end the node, whatever is wrong with it.
                 if not self._closing:
                     self._log_failure(f"frame: {type(error).__name__}: {' '.join(str(error).split())}")
+            finally:
+                self._in_hand.end()
 
     def _state(self) -> StageState:
         name, domain = self.get_fully_qualified_name(), domain_text(self)
@@ -176,9 +184,10 @@ class StageNode(ManagedNode[StageInput]):
         if not self._diagnostics.get_subscription_count():
             return
         unmatched = 0 if self._outputs is None else self._outputs.unmatched()
-        entries = stage_health(
-            self._state(), self._figures, self._input, self._slot.skipped, unmatched, self._stage.remarks
-        )
+        long = self._in_hand.long()
+        troubles = ["" if long is None else long.text, self._standstill.lately(), full_memory()]
+        remarks = (*self._stage.remarks, *filter(None, troubles))
+        entries = stage_health(self._state(), self._figures, self._input, self._slot.skipped, unmatched, remarks)
         self._diagnostics.publish(diagnostics_message(make_message, self.get_clock().now().nanoseconds, entries))
 
     def _reset(self) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,10 +21,12 @@ from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.result import Result
 from imgu_ros.perception.size_checks import SizeChecks
 from imgu_ros.perception.targets import Target, TargetImage
+from imgu_ros.ros.in_hand import InHand
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.meters import LatencyMeter, RateMeter
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.rebuilding import Rebuilder
+from imgu_ros.ros.sought import Sought
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 #: The worker waits for no longer than this for somebody who wants to come between two frames.
@@ -51,39 +53,6 @@ class Handlers:
     needs_keypoints: Callable[[], bool]
 
 
-class Sought:
-    """What was looked for in vain: how near it came to being found."""
-
-    def __init__(self) -> None:
-        self._found_s: float | None = None
-        self._most: dict[str, int] = {}
-
-    @property
-    def found_s(self) -> float | None:
-        """When a target was seen last (monotonic); None: never yet."""
-        return self._found_s
-
-    @property
-    def most_inliers(self) -> Mapping[str, int]:
-        """The most inliers of each target since it was seen last."""
-        return self._most
-
-    def add(self, result: Result, now_s: float) -> None:
-        """Take what became of the targets in one more frame."""
-        most = dict(self._most)
-        for target in result.targets:
-            if target.status.found:
-                self._found_s = now_s
-                most.pop(target.name, None)
-            else:
-                most[target.name] = max(most.get(target.name, 0), target.most_inliers)
-        self._most = most
-
-    def clear(self) -> None:
-        """Begin anew."""
-        self._found_s, self._most = None, {}
-
-
 class Worker:
     """Owns the chain. Its public methods may be called from any thread.
 
@@ -99,6 +68,7 @@ class Worker:
     done : frames that went through the chain
     latency : from the delivery of an image to the end of publishing its results
     age : from an image's stamp to its results, by the node's clock
+    in_hand : the frame that is worked on
     sought : what was looked for in vain
     sizes : widths of targets that cannot be
     """
@@ -107,6 +77,7 @@ class Worker:
         self.done = RateMeter()
         self.latency = LatencyMeter()
         self.age = LatencyMeter()
+        self.in_hand = InHand()
         self.sought = Sought()
         self.sizes = SizeChecks(())
         self._slot = slot
@@ -262,11 +233,14 @@ class Worker:
                 self._go_on.set()
             try:
                 with self._lock:
+                    self.in_hand.begin(job.image)
                     self._work(job)
             except Exception as error:
                 # One bad frame must not end the node, whatever is wrong with it.
                 if not self._closing:
                     self._handlers.failed(f"frame: {type(error).__name__}: {' '.join(str(error).split())}")
+            finally:
+                self.in_hand.end()
 
     def _work(self, job: Job) -> None:
         self._take_over()

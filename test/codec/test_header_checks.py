@@ -25,6 +25,32 @@ def checked(*stamps_ns: int, frame_id: str = "eye", info: str = "eye") -> Header
     return checks
 
 
+def test_two_cameras_in_turn_are_told_and_their_stamps_are_looked_at_apart() -> None:
+    checks = HeaderChecks("/cam/image_raw", "/cam/camera_info")
+    for stamp_ns in range(10**9, 5 * 10**9, 10**8):
+        for name in ("left", "right"):
+            checks.add_image(message(stamp_ns, name))
+            checks.add_camera_info(message(stamp_ns, name))
+    told = checks.told()
+    assert list(told) == [Oddity.SHARED]
+    assert told[Oddity.SHARED].startswith(
+        "/cam/image_raw carries images of several cameras: each frame_id ('left', 'right') is"
+    )
+    assert checks.cameras == ("left", "right")
+    assert list(checks.told("eye")) == [Oddity.SHARED], "frames.camera does not make them one"
+    for stamp_ns in range(5 * 10**9, 40 * 10**9, 10**8):
+        checks.add_image(message(stamp_ns, "left"))
+    assert checks.cameras == ()
+    assert checks.told(lately=True) == {}
+
+
+def test_a_name_that_changes_once_is_one_camera() -> None:
+    checks = checked(*range(10**9, 2 * 10**9, 10**8), frame_id="old", info="old")
+    for stamp_ns in range(2 * 10**9, 3 * 10**9, 10**8):
+        checks.add_image(message(stamp_ns, "new"))
+    assert Oddity.SHARED not in checks.told()
+
+
 def test_usual_headers_are_not_odd() -> None:
     assert checked(*range(10**9, 5 * 10**9, 10**8)).told() == {}
     assert checked(0, 33, 66).told() == {}, "a simulation begins at 0"

@@ -133,10 +133,88 @@ def test_memory_is_bounded():
     pairing: Pairing[int, int] = Pairing()
     for n in range(5000):
         pairing.add_camera_info(n, n)
-    assert len(pairing._infos) <= 256
+    assert [len(infos.by_stamp) for infos in pairing._infos.values()] == [256]
     for n in range(5000, 10000):
         pairing.add_image(n, n)
-    assert len(pairing._waiting) <= 2
+    assert [len(camera.waiting) for camera in pairing._cameras.values()] == [0]
+    for n in range(5000):
+        pairing.add_camera_info(n, n, f"camera {n}")
+        pairing.add_image(n, n, f"image {n}")
+    assert len(pairing._infos) <= 8 and len(pairing._cameras) <= 8
+
+
+def run_cameras(events: str) -> list[tuple[str, str | None]]:
+    """Feed "iA3 cA3 ..." (image or camera_info, frame_id, stamp); return the pairs, as written in the events."""
+    pairing: Pairing[str, str] = Pairing()
+    pairs = []
+    for event in events.split():
+        add = pairing.add_image if event[0] == "i" else pairing.add_camera_info
+        pairs += add(int(event[2:]) * FRAME_NS, event[1:], event[1])
+    pairs += pairing.flush()
+    return [(pair.image, pair.camera_info) for pair in pairs]
+
+
+@given(st.permutations(("iA", "iB", "cA", "cB")), st.permutations(("iA", "iB", "cA", "cB")))
+def test_two_cameras_on_the_same_topics_get_their_own_camera_info(first, others):
+    """Equal stamps, in every order, from the first frame on."""
+    events = [f"{event}{n}" for n, order in enumerate([first, *[others] * 5]) for event in order]
+    pairs = run_cameras(" ".join(events))
+    assert sorted(pairs) == sorted((f"{name}{n}", f"{name}{n}") for name in "AB" for n in range(6))
+
+
+def test_a_camera_without_camera_info_of_its_own_gets_nobody_elses():
+    events = " ".join(f"cA{n} iA{n} iB{n}" for n in range(40))
+    pairs = dict(run_cameras(events))
+    assert all(info == (image if image[0] == "A" else None) for image, info in pairs.items())
+    assert len(pairs) == 80
+
+
+def test_a_strange_image_does_not_hold_up_a_camera():
+    pairing: Pairing[str, str] = Pairing()
+    for n in range(1, 20):
+        pairing.add_image(n * FRAME_NS, "strange", f"strange {n}")
+        assert pairing.add_image(n * FRAME_NS, "image", "A") == []
+        (pair,) = pairing.add_camera_info(n * FRAME_NS, "info", "A")
+        assert (pair.image, pair.camera_info) == ("image", "info")
+
+
+def test_a_camera_info_of_the_far_future_ends_no_wait():
+    pairing: Pairing[int, int] = Pairing()
+    pairing.add_camera_info(2**31 * 10**9, -1)
+    assert pairing.add_image(10, 10) == []
+    assert [p.camera_info for p in pairing.add_camera_info(10, 10)] == [10]
+
+
+@pytest.mark.parametrize("events", ["cx{0} iy{0}", "iy{0} cx{0}"])
+def test_a_driver_that_names_camera_info_otherwise(events):
+    """Its images take the camera_info that is no other camera's, whatever else comes later under that name."""
+    assert run_cameras(" ".join(events.format(n) for n in range(9))) == [(f"y{n}", f"x{n}") for n in range(9)]
+    pairing: Pairing[str, str] = Pairing()
+    for n in range(5):
+        pairing.add_camera_info(n * FRAME_NS, "info", "x")
+        pairing.add_image(n * FRAME_NS, "image", "y")
+    pairing.add_camera_info(5 * FRAME_NS, "info", "x")
+    pairing.add_image(5 * FRAME_NS, "strange", "x")
+    (pair,) = pairing.add_image(5 * FRAME_NS, "image", "y")
+    assert pair.camera_info == "info"
+
+
+def test_only_the_first_image_waits_where_names_differ():
+    pairing: Pairing[int, int] = Pairing()
+    left = []
+    for n in range(8):
+        pairs = pairing.add_camera_info(n * FRAME_NS, n, "x") + pairing.add_image(n * FRAME_NS, n, "y")
+        left.append([pair.image for pair in pairs])
+    assert left == [[], [], [0, 1, 2], [3], [4], [5], [6], [7]]
+
+
+def test_a_camera_that_changes_its_name_gets_what_was_sent_once():
+    pairing: Pairing[int, int] = Pairing()
+    pairing.add_camera_info(0, 1, "old")
+    for n in range(50):
+        pairing.add_image(n * FRAME_NS, n, "old")
+    infos = [pair.camera_info for n in range(50, 300) for pair in pairing.add_image(n * FRAME_NS, n, "new")]
+    assert set(infos[-140:]) == {1}
 
 
 def test_negative_hold_is_refused():

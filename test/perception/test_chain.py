@@ -280,3 +280,22 @@ def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
     # By how much depends on how exactly OpenCV interpolates: by a third with 5.0, by a twentieth with 4.6.
     assert median["auto"] == median["linear"] < 0.98 * median["srgb"]
     assert median["srgb"] < 0.1
+
+
+def test_two_cameras_in_turn_are_each_tracked(one_target_frames: Frames, targets: Targets) -> None:
+    """The same numbers as each alone: one looks at the target from the other end of the way."""
+    left = [f.frame for f in one_target_frames]
+    right = [
+        replace(f.frame, stamp_ns=mine.stamp_ns, frame_id="right")
+        for f, mine in zip(reversed(one_target_frames), left, strict=True)
+    ]
+    chain, alone = Chain(Parameters(), targets[:1]), [Chain(Parameters(), targets[:1]) for _ in range(2)]
+    for frames in zip(left, right, strict=True):
+        for frame, single in zip(frames, alone, strict=True):
+            got, expected = chain.process(frame).targets[0], single.process(frame).targets[0]
+            assert got.status is expected.status
+            assert got.homography is not None and expected.homography is not None
+            assert_allclose(got.homography.H, expected.homography.H, rtol=0, atol=0)
+    for number in range(100):
+        chain.process(replace(left[0], frame_id=f"camera {number}"))
+    assert len(chain._cameras) == 8

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from imgu_ros.errors import FileError
+from imgu_ros.errors import FileError, ImguError
 from imgu_ros.ros import middleware
 
 _TAG = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
@@ -138,7 +138,7 @@ def test_a_file_that_fast_dds_is_told_to_skip_is_none(machine):
     [
         (100_000, 16, True, ""),
         (2 * MB, 1000, True, ""),
-        (100 * MB, 1000, True, "images of 100.0 MB and shared memory of 67 MB: "),
+        (100 * MB, 1000, True, "images of 100.0 MB and shared memory of 67 MB: frames get lost; need a segment"),
         (2 * MB, 64, True, ""),
         (6 * MB, 64, True, "images of 6.0 MB and shared memory of 13 MB: frames get lost; /dev/shm has 67 MB; "),
         (2 * MB, 16, True, "images of 2.0 MB and no DDS profile: /dev/shm has 17 MB"),
@@ -158,8 +158,30 @@ def test_what_helps_against_loss(machine):
     turn_on = f"in every process, the camera's too, set {VARIABLE}={middleware.config_file(LARGE)}"
     assert middleware.against_loss() == f"images larger than the shared memory of 512 KB get lost; {turn_on}"
     middleware.set_profile()
-    assert middleware.against_loss() == f"this process has a DDS profile; {turn_on}"
+    holds = "it is for images of at most 22 MB"
+    assert middleware.against_loss() == f"this process has a DDS profile; {turn_on}; {holds}"
     machine.has(64, 40)
     assert middleware.against_loss().endswith("; /dev/shm has 67 MB; give it more (Docker: --shm-size=512m)")
     machine.is_told("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
     assert "larger buffers" in middleware.against_loss()
+
+
+def test_a_full_shared_memory_is_told(machine, monkeypatch, tmp_path):
+    monkeypatch.setattr(middleware, "_SHARED_MEMORY", tmp_path)
+    machine.has(64, 1)
+    middleware.require_room_to_start()
+    assert middleware.full_memory() == ""
+    machine.has(64, 0.5)
+    middleware.require_room_to_start()
+    assert middleware.full_memory().startswith(f"{tmp_path} is full: 67 MB, 0.5 MB free: processes that start now")
+    machine.has(64, 0)
+    (tmp_path / "lttng-ust-wait-6").touch()
+    with pytest.raises(ImguError, match=r"is full: 67 MB, 0.0 MB free: ROS would end with a bus error; remove what"):
+        middleware.require_room_to_start()
+    # Another process has the page already: ROS starts, without shared memory.
+    (tmp_path / "lttng-ust-wait-6").write_bytes(bytes(4096))
+    middleware.require_room_to_start()
+    machine.is_told("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    assert middleware.full_memory() == ""
+    machine.lacks_shared_memory()
+    middleware.require_room_to_start()

@@ -18,6 +18,7 @@ from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.qos import output_qos
 from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, Feed, StageInput, StageJob, StageTopics
+from imgu_ros.ros.standstill import Standstill
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
@@ -49,14 +50,15 @@ class Rig:
         feeds = tuple(Feed(name, f"/{name}", CLOUD, output_qos()) for name in "ab")
         complete = lambda got, absent: "a" in got and ("b" in got or (b_may_lack and "b" in absent))  # noqa: E731
         topics = StageTopics(feeds, camera_info)
-        self.input = StageInput(self.node, topics, complete, self.slot)  # type: ignore[arg-type]
+        self.input = StageInput(self.node, topics, complete, self.slot, Standstill())  # type: ignore[arg-type]
         self.input.open()
 
     def tell(self, name: str, stamp_ns: int) -> list[int]:
         """Let a message come; return the stamps of what was handed over."""
         type_name = CAMERA_INFO_TYPE if name == "info" else CLOUD
         header = header_message(make_message, Header(stamp_ns, "camera"))
-        self.node.callbacks[f"/{name}"](make_message(type_name, header=header))
+        info = () if name == "info" else ({"source_timestamp": 0},)
+        self.node.callbacks[f"/{name}"](make_message(type_name, header=header), *info)
         return [decode_header(job.messages["a"]).stamp_ns for job in self.taken()]
 
     def taken(self) -> list[StageJob]:

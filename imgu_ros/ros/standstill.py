@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the process stood still (SIGSTOP, a sleeping laptop, no processor time), and which messages are from before.
+
+The middleware keeps the last messages of before, and those that came meanwhile. When the process goes on they would be
+served first, as if they were news.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+#: A process that is called many times a second, and was not for so long, stood still.
+_STANDSTILL_S = 1.0
+#: What was sent so shortly before the end is fresh.
+_FRESH_NS = 100_000_000
+#: The middleware delivers the last of what is old within this time.
+_DELIVERED_S = 2.0
+#: It is told for so long: as long as the rates look back.
+_TOLD_S = 5.0
+_DELAYS = 100
+
+
+class Standstill:
+    """Notices by being called, many times a second, that it was not called for a while. Thread-safe.
+
+    Parameters
+    ----------
+    elapsed_s : a clock that goes on while the machine sleeps
+    now_s : the clock of `precedes`
+    wall_ns : the clock of senders' time stamps, but for an offset that may be any
+    """
+
+    def __init__(
+        self,
+        elapsed_s: Callable[[], float] = lambda: time.clock_gettime(time.CLOCK_BOOTTIME),
+        now_s: Callable[[], float] = time.monotonic,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._elapsed_s, self._now_s, self._wall_ns = elapsed_s, now_s, wall_ns
+        self._lock = threading.Lock()
+        self._beat_s: float | None = None
+        self._ended_s = self._ended_elapsed_s = -_TOLD_S
+        self._ended_wall_ns = 0
+        self._lasted_s = 0.0
+        self._delays_ns: deque[int] = deque(maxlen=_DELAYS)
+        self._dropped = 0
+        self._is_told = True
+
+    @property
+    def ended_s(self) -> float:
+        """When the last standstill ended, by `now_s`; in the past when there was none."""
+        return self._ended_s
+
+    def begin(self) -> None:
+        """Begin to be called."""
+        with self._lock:
+            self._beat_s = self._elapsed_s()
+            self._delays_ns.clear()
+
+    def end(self) -> None:
+        """Stop being called: nothing is a standstill until `begin`."""
+        with self._lock:
+            self._beat_s = None
+
+    def beat(self) -> None:
+        """Be called."""
+        with self._lock:
+            self._look()
+
+    def precedes(self, received_s: float) -> bool:
+        """Return whether what was received at a time, by `now_s`, is from before the last standstill's end."""
+        with self._lock:
+            self._look()
+            is_old = received_s <= self._ended_s
+            self._dropped += is_old
+            return is_old
+
+    def is_old(self, sent_ns: int) -> bool:
+        """Return whether a message that is delivered now was sent before the end of a standstill that is just over.
+
+        Parameters
+        ----------
+        sent_ns : the sender's time stamp by the middleware; 0 or less where it gives none
+        """
+        with self._lock:
+            self._look()
+            if sent_ns <= 0:
+                return False
+            if self._elapsed_s() - self._ended_elapsed_s > _DELIVERED_S or not self._delays_ns:
+                self._delays_ns.append(self._wall_ns() - sent_ns)
+                return False
+            # The sender's clock may be another machine's: the shortest way of a message tells the offset.
+            is_old = sent_ns + min(self._delays_ns) < self._ended_wall_ns - _FRESH_NS
+            self._dropped += is_old
+            return is_old
+
+    def news(self) -> str:
+        """Return a line about a standstill that is over, once, when what is old has come; else nothing."""
+        with self._lock:
+            self._look()
+            if self._is_told or self._elapsed_s() - self._ended_elapsed_s < 0.5 * _DELIVERED_S:
+                return ""
+            self._is_told = True
+            return self._text()
+
+    def lately(self) -> str:
+        """Return the line for some seconds after the end; then nothing."""
+        with self._lock:
+            self._look()
+            return self._text() if self._elapsed_s() - self._ended_elapsed_s < _TOLD_S else ""
+
+    def _look(self) -> None:
+        if self._beat_s is None:
+            return
+        last_s, self._beat_s = self._beat_s, self._elapsed_s()
+        if self._beat_s - last_s < _STANDSTILL_S:
+            return
+        self._lasted_s = self._beat_s - last_s
+        self._ended_s, self._ended_elapsed_s = self._now_s(), self._beat_s
+        self._ended_wall_ns = self._wall_ns()
+        self._dropped, self._is_told = 0, False
+
+    def _text(self) -> str:
+        dropped = f"{self._dropped} old frame{'' if self._dropped == 1 else 's'} dropped"
+        return f"suspended, or without processor time, for {self._lasted_s:.1f} s: {dropped}"
