@@ -137,6 +137,6 @@ def test_what_is_too_large_is_passed_over_and_counted(make_node):
     assert (source.arrivals.count, source.unread) == (1, 1)
     info = message_class("sensor_msgs/msg/CameraInfo")()
     source._on_camera_info(serialize_message(info))
-    info.d = [0.0] * 2000
+    info.d = [0.0] * 2100
     source._on_camera_info(serialize_message(info))
     assert source.infos.count == 1, "16 KB are no camera_info"
