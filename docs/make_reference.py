@@ -22,6 +22,9 @@ from types import ModuleType
 
 DOCS = Path(__file__).resolve().parent
 PACKAGE = "imgu_ros.vision"
+# REUSE-IgnoreStart
+LICENCE = "<!-- SPDX-License-Identifier: Apache-2.0 -->"
+# REUSE-IgnoreEnd
 #: In the order in which light becomes a pose.
 CHAPTERS = {
     "formation": "Image formation",
@@ -54,7 +57,7 @@ def main() -> None:
 def pages() -> dict[str, str]:
     """Return the text of every page by its file name."""
     texts = {f"{chapter}.md": _chapter_page(chapter, title) for chapter, title in CHAPTERS.items()}
-    lines = ["# The vision library", "", "Generated from the code by `docs/make_reference.py`.", ""]
+    lines = [LICENCE, "# The vision library", "", "Generated from the code by `docs/make_reference.py`.", ""]
     for chapter, title in CHAPTERS.items():
         summary = _paragraphs(importlib.import_module(f"{PACKAGE}.{chapter}"))[0]
         lines.append(f"- [{title}]({chapter}.md): {summary}")
@@ -91,7 +94,7 @@ def modules_of(chapter: str) -> list[ModuleType]:
 
 def _chapter_page(chapter: str, title: str) -> str:
     package = importlib.import_module(f"{PACKAGE}.{chapter}")
-    lines = [f"# {title}", "", *_paragraph_lines(package), ""]
+    lines = [LICENCE, f"# {title}", "", *_paragraph_lines(package), ""]
     if (DOCS / "pictures" / f"{chapter}.py").exists():
         lines += [f"![{title}](images/{chapter}.png)", ""]
     lines += _catalogue(chapter)

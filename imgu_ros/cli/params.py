@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
     from imgu_ros.params import Declaration
 
+#: On top of what is printed to be a file of the repository. REUSE-IgnoreStart
+LICENCE = "SPDX-License-Identifier: Apache-2.0"
+# REUSE-IgnoreEnd
 HELP = "list every parameter, or print a ready parameter file"
 
 
@@ -42,7 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
         from imgu_ros.files.parameter_files import parameter_file_text
 
         # For programs: exact, where the rest is for people.
-        sys.stdout.write(parameter_file_text(parameter_values(parameters), [known.name for known in chosen]))
+        text = parameter_file_text(parameter_values(parameters), [known.name for known in chosen])
+        sys.stdout.write(f"# {LICENCE}\n{text}")
         return 0
     if arguments.markdown:
         sys.stdout.write(reference_page(chosen))
@@ -55,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 def reference_page(chosen: Sequence[Declaration]) -> str:
     """Return the parameters as a table in Markdown."""
     rows = [
+        f"<!-- {LICENCE} -->",
         "# Parameters",
         "",
         "Made by `imgu params --markdown`. Set them with `-p NAME:=VALUE` or `--params-file FILE`, in every command as",
