@@ -13,10 +13,11 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from fuzz.corpus import CORPUS, run_entry
 from fuzz.kinds import KINDS, PICTURE, RECORDING, generated, in_turn, write_case
 from fuzz.pool import MOST_MB, MOST_SECONDS, Pool
 from fuzz.worker import Answer, Request
@@ -67,8 +68,11 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, default=Path("fuzz-failures"), help="folder for cases that fail")
     parser.add_argument("--figures", type=Path, help="write what came out as JSON")
+    parser.add_argument("--corpus", nargs="*", metavar="NAME", help="run the named cases (none named: all)")
     parser.add_argument("--replay", type=Path, metavar="FOLDER", help="read a saved case again, or FILE with --kind")
     arguments = parser.parse_args()
+    if arguments.corpus is not None:
+        return _corpus(arguments.corpus)
     if arguments.replay:
         return _replayed(arguments.replay, (arguments.kind or [""])[0])
     return _fuzzed(arguments)
@@ -138,6 +142,22 @@ def _report(request: Request, answer: Answer, out: Path, pool: Pool) -> None:
     for failure in answer.failures:
         print(f"FAILED {failure[:400]}")
     print(f"  again with: python -m fuzz --replay {folder}", flush=True)
+
+
+def _corpus(names: Sequence[str]) -> int:
+    """Run named cases; print what each costs, and what is wrong."""
+    failed = 0
+    with Pool() as pool:
+        for name in names or CORPUS:
+            failures, answer = run_entry(pool, name)
+            failed += bool(failures)
+            print(
+                f"{name:36} {answer.seconds:6.2f} s {answer.peak_mb:6.0f} MB  {'read' if answer.read else 'refused'}",
+                flush=True,
+            )
+            for failure in failures:
+                print(f"  FAILED {failure[:600]}", flush=True)
+    return 1 if failed else 0
 
 
 def _replayed(path: Path, kind: str) -> int:

@@ -46,6 +46,7 @@ class Verdict:
     read : it could be read, at least in part
     limited : a bound of `limits` refused some of it
     messages : of a recording, as it was read
+    said : errors, warnings and remarks
     details : a traceback
     """
 
@@ -53,6 +54,7 @@ class Verdict:
     read: bool = False
     limited: bool = False
     messages: int = 0
+    said: list[str] = field(default_factory=list)
     details: str = ""
 
 
@@ -103,6 +105,7 @@ def fuzz_one(reader: str, path: Path, deep: bool = False) -> tuple[Verdict, Call
     verdict.failures += [f"text: a line of {len(line)} characters" for line in reading.said if len(line) > 5000][:1]
     verdict.limited = any(_LIMIT in line for line in reading.said)
     verdict.messages = reading.raw.total()
+    verdict.said = [line[:1000] for line in reading.said]
     return verdict, lambda: _complete(verdict, reading, reader, path)
 
 

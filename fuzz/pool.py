@@ -22,6 +22,7 @@ MOST_MB = 1500.0
 MOST_SECONDS = 10.0
 #: On a machine with other work, time counts once the process itself had as much; this ends one that waits.
 _HANG_SECONDS = 45.0
+_MAKING_SECONDS = 15.0  # what making the case and the scan may take beside
 _CASES_A_PROCESS = 1000
 _MOST_BASE_MB = 400
 
@@ -69,7 +70,8 @@ class Pool:
             return self._ended(start)
         while not select.select([worker.stdout], [], [], 0.5)[0]:
             passed, used = time.monotonic() - start, _cpu_seconds(worker.pid) - cpu
-            if passed > _HANG_SECONDS or (passed > MOST_SECONDS + 5 and used > MOST_SECONDS + 5):
+            waits = passed > _HANG_SECONDS and used < 1
+            if waits or passed > 4 * _HANG_SECONDS or used > MOST_SECONDS + _MAKING_SECONDS:
                 self._end()
                 return Answer([f"time: ended after {passed:.0f} s ({used:.0f} s of a processor)"], seconds=passed)
         line = worker.stdout.readline()

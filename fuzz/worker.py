@@ -44,6 +44,7 @@ class Answer:
     read: bool = False
     limited: bool = False
     messages: int = 0
+    said: list[str] = field(default_factory=list)
     details: str = ""
     seconds: float = 0.0
     cpu_seconds: float = 0.0
@@ -91,6 +92,7 @@ def prepared(request: Request, case: Path) -> tuple[str, Path]:
 
     if request.corpus:
         entry = CORPUS[request.corpus]
+        request.deep = request.deep or entry.deep
         return entry.reader, entry.build(case)
     kind = KINDS[request.kind]
     if request.path:
