@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of rosbag2's SQLite storage (.db3), whole or cut."""
+"""Messages of rosbag2's SQLite storage (.db3), whole, cut or damaged."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
 
 from rosbags.typesys.msg import normalize_msgtype
 
+from imgu_ros.bags.sqlite_file import Column, SqliteFile
 from imgu_ros.bags.storage import (
     DEFAULT_LIMITS,
     MAX_TIME_NS,
@@ -24,9 +23,11 @@ from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
 from imgu_ros.params import LimitsParameters
 
-_BY_TIME, _BY_ID = "timestamp, id", "id"
 #: Rows of a damaged file that may come again, beyond as many as came once, before reading stops.
 _MANY_REPEATED = 100
+#: Rows of the tables `topics` and `message_definitions`, and their texts together, in `limits.text_mb`.
+_MOST_NAMED, _MOST_TEXT = 65_536, 16
+_FIRST = -(2**63)
 
 
 class SqliteStorage:
@@ -37,7 +38,7 @@ class SqliteStorage:
     path : the file
     name : what warnings call it
     warnings : takes what is damaged, now and while reading
-    limits : `message_mb` bounds a message
+    limits : `message_mb` bounds a message, `text_mb` a definition
 
     Raises
     ------
@@ -46,15 +47,21 @@ class SqliteStorage:
     """
 
     def __init__(self, path: Path, name: str, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
-        self._path, self._name, self._warnings = path, name, warnings
-        self._database = _connected(path, limits)
+        self._path, self._name, self._warnings, self._limits = path, name, warnings, limits
+        self._is_sorted = self._is_damaged = False
+        self._file = SqliteFile(path, name, warnings, limits)
         try:
-            self._by_id = self._channels()
-            self._order = self._order_of_rows()
+            tables = self._file.tables("topics", "messages", "message_definitions")
+            self._key = self._key_of_messages(tables)
+            self._data_query = f"SELECT data FROM messages WHERE {self._key} = ?"
+            columns = (self._key, "topic_id", "timestamp")
+            whole = " AND ".join(f"typeof({one}) = 'integer'" for one in columns)
+            self._columns = ", ".join(f"CASE WHEN {whole} THEN {one} END" for one in columns)
+            self._by_id = self._channels(tables)
             self._totals, self.start_ns, self.end_ns = self._summary()
         except sqlite3.DatabaseError as error:
             self.close()
-            raise BagError(f"{path}: {error}; need a readable rosbag2 SQLite file") from None
+            raise BagError(f"{path}: {self._file.fault(error)}; need a readable rosbag2 SQLite file") from None
         except BaseException:
             self.close()
             raise
@@ -71,88 +78,127 @@ class SqliteStorage:
     def messages(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
         """Yield the messages of `topics` (None: all) in time order."""
         wanted = {i: channel for i, channel in self._by_id.items() if topics is None or channel.topic in topics}
+        left = 2 * self._file.size
         for row, identity, time_ns in self._rows():
             channel = wanted.get(identity)
             if channel is None:
                 continue
             data = self._data(row, time_ns)
-            if data is not None:
-                yield RawMessage(channel, time_ns, data)
+            if data is None:
+                continue
+            left -= len(data)
+            if left < 0:
+                self._warnings.add(f"{self._name}: its messages share their bytes: what comes after them is not read")
+                return
+            yield RawMessage(channel, time_ns, data)
 
     def close(self) -> None:
         """Close the database."""
-        self._database.close()
+        self._file.close()
 
-    def _channels(self) -> dict[int, Channel]:
-        query = "SELECT name FROM sqlite_master WHERE type = 'table'"
-        tables = {_text(name) for (name,) in self._database.execute(query)}
-        missing = {"topics", "messages"} - tables
-        if missing:
-            raise BagError(f"{self._path}: no table {sorted(missing)[0]!r}; need rosbag2's tables topics and messages")
-        schemas = self._schemas() if "message_definitions" in tables else {}
+    def _key_of_messages(self, tables: dict[str, tuple[Column, ...]]) -> str:
+        """Return by which column rows are found; check what the table is made of."""
+        for missing in [name for name in ("topics", "messages") if name not in tables]:
+            raise BagError(f"{self._path}: no table {missing!r}; need rosbag2's tables topics and messages")
+        there = {column.name for column in tables["topics"]}
+        for absent in [name for name in ("id", "name", "type") if name not in there]:
+            raise BagError(f"{self._path}: topics has no column {absent!r}; need rosbag2's")
+        columns = tables["messages"]
+        names = [column.name for column in columns]
+        # A number behind the data is read only after all of the data.
+        if names[:4] != ["id", "topic_id", "timestamp", "data"]:
+            raise BagError(f"{self._path}: messages has the columns {', '.join(names)[:80]}; need rosbag2's")
+        if not all(column.is_stored for column in columns[:4]):
+            raise BagError(f"{self._path}: messages has computed columns; need recorded messages")
+        return "id" if columns[0].is_key else "rowid"
+
+    def _channels(self, tables: dict[str, tuple[Column, ...]]) -> dict[int, Channel]:
+        schemas = self._schemas(tables)
         channels: dict[int, Channel] = {}
-        # All columns: older files lack the last ones, and SQLite takes a column that is not there for a text.
-        cursor = self._database.execute("SELECT * FROM topics ORDER BY id")
-        for row in _rows_by_name(cursor):
-            type_name = _text(row.get("type"))
-            given = row.get("type_description_hash")
+        wanted = ("id", "name", "type", "serialization_format", "type_description_hash")
+        for identity, name, given_type, encoding, given in self._texts("topics", tables["topics"], wanted):
+            type_name = _text(given_type)
             form, text = schemas.get((type_name, _text(given)), schemas.get((type_name, ""), ("", "")))
             normal = normalize_msgtype(type_name) if "/" in type_name else type_name
-            encoding = serialization_named(_text(row.get("serialization_format")))
-            channels[row["id"]] = Channel(_text(row.get("name")), normal, encoding, form.lower(), text)
+            if isinstance(identity, int):
+                channels[identity] = Channel(
+                    _text(name), normal, serialization_named(_text(encoding)), form.lower(), text
+                )
         return channels
 
-    def _schemas(self) -> dict[tuple[str, str], tuple[str, str]]:
+    def _schemas(self, tables: dict[str, tuple[Column, ...]]) -> dict[tuple[str, str], tuple[str, str]]:
         """Return format and text of the definitions by type and by the type's hash; without a hash, the first counts.
 
         Types of two packages' versions have one name; whatever is wrong with this table, the messages are there.
         """
         schemas: dict[tuple[str, str], tuple[str, str]] = {}
-        try:
-            cursor = self._database.execute("SELECT * FROM message_definitions ORDER BY id")
-            for row in _rows_by_name(cursor):
-                definition = _text(row.get("encoding")), _text(row.get("encoded_message_definition"))
-                for given in (_text(row.get("type_description_hash")), ""):
-                    schemas.setdefault((_text(row.get("topic_type")), given), definition)
-        except sqlite3.DatabaseError as error:
-            self._warnings.add(f"{self._name}: its message definitions cannot be read ({error}); those of ROS 2 serve")
+        wanted = ("topic_type", "encoding", "encoded_message_definition", "type_description_hash")
+        columns = tables.get("message_definitions", ())
+        missing = {"topic_type", "encoding", "encoded_message_definition"} - {column.name for column in columns}
+        if columns and missing:
+            absent = sorted(missing)[0]
+            self._warnings.add(
+                f"{self._name}: its message definitions cannot be read (no column {absent}); those of ROS 2 serve"
+            )
+            return schemas
+        for name, form, text, given_hash in self._texts("message_definitions", columns, wanted):
+            definition = _text(form), _text(text)
+            for given in (_text(given_hash), ""):
+                schemas.setdefault((_text(name), given), definition)
         return schemas
 
+    def _texts(self, table: str, columns: Sequence[Column], wanted: Sequence[str]) -> Iterator[tuple[object, ...]]:
+        """Yield the rows of a small table, None for columns that are not there; what cannot be read is said."""
+        if not columns:
+            return
+        there = {column.name for column in columns if column.is_stored}
+        names = ", ".join(name if name in there else "NULL" for name in wanted)
+        self._file.begin()
+        most = _MOST_TEXT * 1_000_000 * self._limits.text_mb
+        try:
+            order = "id" if "id" in there else "rowid"
+            for count, row in enumerate(self._file.execute(f"SELECT {names} FROM {table} ORDER BY {order}")):
+                most -= sum(len(value) for value in row if isinstance(value, bytes))
+                if most < 0 or count >= _MOST_NAMED:
+                    raise sqlite3.DatabaseError("too many or too long")
+                yield row
+        except sqlite3.DatabaseError as error:
+            self._warnings.add(f"{self._name}: its table {table} cannot be read to its end: {self._file.fault(error)}")
+
     def _summary(self) -> tuple[dict[int, int], int, int]:
-        """Return the messages by topic's id, and the first and last time."""
+        """Return the messages by topic's id, and the first and last time; decide whether rows are to be sorted."""
         totals: dict[int, int] = {}
-        first, last = MAX_TIME_NS, 0
+        first, last, before, is_falling = MAX_TIME_NS, 0, 0, False
         for _, identity, time_ns in self._rows():
             totals[identity] = totals.get(identity, 0) + 1
             first, last = min(first, time_ns), max(last, time_ns)
+            is_falling |= time_ns < before
+            before = time_ns
+        # Sorting reads all rows before it gives the first: of a damaged file, none.
+        self._is_sorted = is_falling and not self._is_damaged
         return totals, first if totals else 0, last
-
-    def _order_of_rows(self) -> str:
-        """Return how rows are sorted: by time, or, in a cut file whose index is incomplete, as they were recorded."""
-        try:
-            for _ in self._database.execute(f"SELECT id, topic_id, timestamp FROM messages ORDER BY {_BY_TIME}"):
-                pass
-            return _BY_TIME
-        except sqlite3.DatabaseError:
-            return _BY_ID
 
     def _rows(self) -> Iterator[tuple[int, int, int]]:
         """Yield (row id, topic id, time) in order.
 
-        Sorting takes these three alone: sorting whole messages would make SQLite copy the bag into temporary files.
-        A cut file gives its rows until the first page that is missing. A damaged one may give rows again, without an
-        end: each counts once.
+        The table itself is read, never an index, in which rows may be missing. Sorting takes these three alone: sorting
+        whole messages would make SQLite copy the bag into temporary files. A cut file gives its rows until the first
+        page that is missing. A damaged one may give rows again, without an end: each counts once.
         """
-        by_time = self._order != _BY_ID
-        last = (-1, -(2**63))
-        given = repeated = 0
-        cursor = self._database.cursor()
+        is_sorted = self._is_sorted
+        order = f"timestamp, {self._key}" if is_sorted else self._key
+        last = (_FIRST, _FIRST)
+        given = repeated = odd = 0
+        self._file.begin()
         try:
-            cursor.execute(f"SELECT id, topic_id, timestamp FROM messages ORDER BY {self._order}")
-            for row, identity, time_ns in cursor:  # not fetchmany: it loses the rows before a missing page
-                if type(identity) is not int or type(time_ns) is not int or not 0 <= time_ns <= MAX_TIME_NS:
+            # not fetchmany: it loses the rows before a missing page
+            for row, identity, time_ns in self._file.execute(
+                f"SELECT {self._columns} FROM messages NOT INDEXED ORDER BY {order}"
+            ):
+                if time_ns is None or not 0 <= time_ns <= MAX_TIME_NS:
+                    odd += 1
                     continue
-                place = (time_ns if by_time else 0, row)
+                place = (time_ns if is_sorted else 0, row)
                 if place > last:
                     last = place
                     given += 1
@@ -162,14 +208,19 @@ class SqliteStorage:
                 if repeated > given + _MANY_REPEATED:
                     raise sqlite3.DatabaseError("rows come again and again")
         except sqlite3.DatabaseError as error:
-            self._warnings.add(f"{self._name}: cut short or damaged ({error}): what could be read was read")
-        finally:
-            cursor.close()
+            self._is_damaged = True
+            self._warnings.add(
+                f"{self._name}: cut short or damaged ({self._file.fault(error)}): what could be read was read"
+            )
+        if not odd and not self._is_damaged:
+            self._columns = f"{self._key}, topic_id, timestamp"
+        if odd:
+            self._warnings.add(f"{self._name}: {odd} rows of messages have no whole time or topic and are skipped")
 
     def _data(self, row: int, time_ns: int) -> bytes | None:
         """Return a message's bytes; None, and a warning, when they cannot be read."""
         try:
-            found = self._database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
+            found = self._file.execute(self._data_query, (row,)).fetchone()
             if found is None or not isinstance(found[0], bytes):
                 raise sqlite3.DatabaseError("its data are missing")
             data: bytes = found[0]
@@ -180,31 +231,6 @@ class SqliteStorage:
                 kind=f"{self._name}: unreadable messages",
             )
             return None
-
-
-def _connected(path: Path, limits: LimitsParameters) -> sqlite3.Connection:
-    # `immutable` reads from read-only media too, but knows nothing of a write-ahead log that a recorder left behind.
-    log = path.with_name(path.name + "-wal")
-    mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
-    try:
-        database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True, check_same_thread=False)
-    except sqlite3.Error as error:
-        raise BagError(f"{path}: {error}; need a readable SQLite file") from None
-    try:
-        database.text_factory = bytes  # damaged text must not raise
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(1_000_000 * limits.message_mb, 2**31 - 1))
-        # Lets SQLite open a file that has fewer pages than its header says.
-        database.execute("PRAGMA writable_schema = ON")
-        return database
-    except sqlite3.Error as error:
-        database.close()
-        raise BagError(f"{path}: {error}; need a readable SQLite file") from None
-
-
-def _rows_by_name(cursor: sqlite3.Cursor) -> Iterator[dict[str, Any]]:
-    names = [str(column[0]) for column in cursor.description]
-    for row in cursor:
-        yield dict(zip(names, row, strict=True))
 
 
 def _text(value: object) -> str:

@@ -188,7 +188,9 @@ def test_sqlite_whose_table_of_definitions_is_another(tmp_path, mcap_parts, writ
     write_sqlite(tmp_path / "x.db3", 4, rows, [], messages, definition_columns="name TEXT, other TEXT")
     data, warnings, _ = read(tmp_path / "x.db3")
     assert data == ["a"]
-    assert warnings == ("x.db3: its message definitions cannot be read (no such column: id); those of ROS 2 serve",)
+    assert warnings == (
+        "x.db3: its message definitions cannot be read (no column encoded_message_definition); those of ROS 2 serve",
+    )
 
 
 def ros1_header(**fields: bytes) -> bytes:
