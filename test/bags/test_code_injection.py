@@ -19,7 +19,7 @@ from imgu_ros.bags.storage import Channel
 #: What rosbags' generators write.
 IMPORTED = re.compile(r"__future__|dataclasses|typing|rosbags\.(interfaces|serde)(\.\w+)?")
 CALLED = re.compile(
-    r"cls|bytes|range|len|check_\w+|unpack_\w+|values\.append|typestore\.get_msgdef|msgdef\.deserialize_\w+|numpy\.frombuffer"
+    r"cls|bytes|range|len|check_\w+|unpack_\w+|values?\.append|typestore\.get_msgdef|msgdef\.deserialize_\w+|numpy\.frombuffer"
     r"|bytes\(rawdata\[[a-z0-9 +:-]+\]\)\.decode"
 )
 CALL = "__import__('test_code_injection_was_run')"
