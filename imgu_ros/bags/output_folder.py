@@ -1,67 +1,215 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder that a replay writes into: refused when it holds something else, cleared of earlier results on request."""
+"""The folder that a run writes into: locked, cleared of an earlier run's files on request, with a list of its own."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Sequence
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from imgu_ros.bags.earlier_files import EarlierFiles, EarlierRun
+from imgu_ros.bags.folder_lock import LOCK, FolderLock, last_work_ns, locked_folder
+from imgu_ros.bags.manifest import MANIFEST, read_manifest, write_manifest
 from imgu_ros.errors import FileError
+from imgu_ros.files.whole_files import part_path, sync_file
 
-RESULTS = "results"
-_FILES = ("frames.csv", "ambiguous.csv", "summary.json", "report.html")
-_TRAJECTORIES = "poses_*.tum"
+#: How often a run that writes says so.
+_AT_WORK_S = 0.5
 
 
-def prepare_output_folder(out: Path, *, overwrite: bool, inputs: Sequence[Path] = ()) -> None:
-    """Make `out`, empty of a replay's files.
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a run writes into its folder.
+
+    Attributes
+    ----------
+    kind : of the run; one kind never replaces another's files
+    files : relative names, parts joined by /
+    mark : the one that is written last and says that all are complete
+    """
+
+    kind: str
+    files: tuple[str, ...]
+    mark: str
+
+
+@dataclass(slots=True, eq=False)
+class RunFolder:
+    """The folder of a run at work. Can be handed to another process that has inherited `lock`.
+
+    Attributes
+    ----------
+    path : of the folder
+    device, inode : what the folder is, whatever its name
+    lock : descriptor of the lock's file
+    """
+
+    path: Path
+    device: int
+    inode: int
+    lock: int
+    _next_s: float = 0.0
+
+    def at_work(self) -> None:
+        """Call `renew` when the last time is a while ago; to be called before everything that is written."""
+        if time.monotonic() >= self._next_s:
+            self.renew()
+
+    def renew(self) -> None:
+        """Leave a mark for later runs that this one writes now: what is changed later was changed by others.
+
+        Raises
+        ------
+        FileError
+            If the folder was removed, renamed or replaced: what others put in its place is not written to.
+        """
+        self._next_s = time.monotonic() + _AT_WORK_S
+        try:
+            status = os.stat(self.path)
+        except OSError as error:
+            raise FileError(f"{self.path}: {error.strerror}; need a folder that stays while it is written to") from None
+        if (status.st_dev, status.st_ino) != (self.device, self.inode):
+            raise FileError(f"{self.path}: replaced meanwhile; need a folder that stays while it is written to")
+        os.utime(self.lock)
+
+    def publish(self, *moves: tuple[str, str]) -> None:
+        """Give complete files, or folders of them, their names, in order.
+
+        Parameters
+        ----------
+        *moves : relative names: where it is, where it belongs
+
+        Raises
+        ------
+        FileError
+            If the folder was replaced, or something is in the way.
+        """
+        self.renew()
+        for source, target in moves:
+            try:
+                sync_tree(self.path / source)
+                os.rename(self.path / source, self.path / target)
+            except OSError as error:
+                raise FileError(f"{self.path / target}: {error.strerror}; need a folder that can be written") from None
+        for folder in sorted({parent for source, _ in moves for parent in Path(source).parents}, reverse=True)[:-1]:
+            with contextlib.suppress(OSError):  # others put something there
+                os.rmdir(self.path / folder)
+
+    def sync(self, names: Sequence[str]) -> None:
+        """Wait until files are on the disk; those that there are."""
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                sync_file(self.path / name)
+        self.renew()
+
+
+@contextlib.contextmanager
+def output_folder(
+    out: Path,
+    contents: Contents,
+    *,
+    overwrite: bool,
+    inputs: Sequence[Path] = (),
+    on_warning: Callable[[str], None] = lambda text: None,
+) -> Iterator[RunFolder]:
+    """Make the folder `out`, lock it, remove an earlier run's files, and list those that are about to be written.
 
     Parameters
     ----------
     out : made with its parents when it does not exist
-    overwrite : remove the files of an earlier replay; nothing else is ever removed
+    contents : what is written
+    overwrite : replace the files of an earlier run of the same kind; nothing else is ever removed
     inputs : what is about to be read, and must not be removed
+    on_warning : called when the file system has no locks
 
     Raises
     ------
     FileError
-        If `out` is not a folder, cannot be made or written, is not empty and `overwrite` is false, or an input is among
-        the files to be removed.
+        If `out` is not a folder or cannot be written, is in use, is not empty and `overwrite` is false, or anything in
+        the way is not an earlier run's, unchanged.
     """
-    check_output_folder(out, overwrite=overwrite, inputs=inputs)
-    try:
+    with _folder_errors(out):
+        check_output_folder(out, contents, overwrite=overwrite, inputs=inputs)
         out.mkdir(parents=True, exist_ok=True)
-        _remove_earlier(out)
-        probe = out / "frames.csv"
-        probe.touch()
-    except OSError as error:
-        raise FileError(f"{out}: {error.strerror}; need a folder that can be written") from None
+    with _folder_errors(out), contextlib.ExitStack() as stack:
+        lock = stack.enter_context(locked_folder(out))
+        if not lock.is_sure:
+            on_warning(f"{out}: this file system has no locks; see to it that no second run writes there")
+        _make_room(out, contents, overwrite, lock)
+        status = os.stat(out)
+        folder = RunFolder(out, status.st_dev, status.st_ino, lock.descriptor)
+        write_manifest(out, contents.kind, _all_names(contents))
+        folder.at_work()
+        held = stack.pop_all()
+    with held:
+        yield folder
 
 
-def check_output_folder(out: Path, *, overwrite: bool, inputs: Sequence[Path] = ()) -> None:
-    """Raise what `prepare_output_folder` would, without touching anything; what only trying shows remains."""
-    try:
-        if out.exists() and not out.is_dir():
+def check_output_folder(out: Path, contents: Contents, *, overwrite: bool, inputs: Sequence[Path] = ()) -> None:
+    """Raise what `output_folder` would, without touching anything; what only trying shows remains."""
+    with _folder_errors(out):
+        if not out.exists():
+            return
+        if not out.is_dir():
             raise FileError(f"{out}: not a folder; need a folder for the results")
-        if out.is_dir() and any(out.iterdir()) and not overwrite:
-            raise FileError(f"{out}: folder is not empty; need a new or an empty one, or --overwrite")
-        results = (out / RESULTS).resolve()
-        for path in inputs:
-            if path.resolve().is_relative_to(results) or results.is_relative_to(path.resolve()):
-                raise FileError(f"{out}: would replace {path}, which is to be read; need another folder")
-        if results.is_dir() and not _is_bag(results):
-            raise FileError(f"{results}: holds more than a bag; need another folder")
+        earlier = _checked(out, contents, overwrite, last_work_ns(out))
+        _refuse_inputs(out, contents, earlier, inputs)
+        if overwrite:
+            with EarlierFiles(out, _all_names(contents), earlier):
+                pass
+
+
+def sync_tree(path: Path) -> None:
+    """Wait until a file, or all files of a folder, are on the disk."""
+    for inner in path.iterdir() if path.is_dir() else ():
+        sync_file(inner)
+    sync_file(path)
+
+
+def _make_room(out: Path, contents: Contents, overwrite: bool, lock: FolderLock) -> None:
+    earlier = _checked(out, contents, overwrite, lock.worked_until_ns)
+    with EarlierFiles(out, _all_names(contents), earlier) as files:
+        files.remove(first=contents.mark)
+
+
+def _checked(out: Path, contents: Contents, overwrite: bool, until_ns: int | None) -> EarlierRun | None:
+    """Return the run before; refuse a folder that is not empty, and one of another kind of run."""
+    if not overwrite and set(os.listdir(out)) - {LOCK}:
+        raise FileError(f"{out}: folder is not empty; need a new or an empty one, or --overwrite")
+    manifest = read_manifest(out)
+    if manifest is None:
+        return None
+    if manifest.kind != contents.kind:
+        raise FileError(f"{out}: holds the files of a {manifest.kind}; need another folder for a {contents.kind}")
+    return EarlierRun(manifest, until_ns)
+
+
+def _refuse_inputs(out: Path, contents: Contents, earlier: EarlierRun | None, inputs: Sequence[Path]) -> None:
+    names = _all_names(contents) | (frozenset() if earlier is None else earlier.manifest.files)
+    places = {_real(out / name.partition("/")[0]) for name in names}
+    for path in inputs:
+        read = _real(path)
+        if any(read.is_relative_to(place) or place.is_relative_to(read) for place in places):
+            raise FileError(f"{out}: would replace {path}, which is to be read; need another folder")
+
+
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # unlike `resolve` it raises nothing, whatever links lead to
+
+
+def _all_names(contents: Contents) -> frozenset[str]:
+    """Return the names of all files, also those that are there only while they are written."""
+    beside = [part_path(Path(name)).name for name in (*contents.files, MANIFEST) if "/" not in name]
+    return frozenset((*contents.files, *beside))
+
+
+@contextlib.contextmanager
+def _folder_errors(out: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
-        raise FileError(f"{out}: {error.strerror}; need a folder that can be written") from None
-
-
-def _remove_earlier(out: Path) -> None:
-    for path in (*(out / name for name in _FILES), *out.glob(_TRAJECTORIES)):
-        path.unlink(missing_ok=True)
-    if (out / RESULTS).is_dir():
-        shutil.rmtree(out / RESULTS)
-
-
-def _is_bag(folder: Path) -> bool:
-    return all(path.name == "metadata.yaml" or path.suffix in (".mcap", ".db3") for path in folder.iterdir())
+        where = out / os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else out
+        raise FileError(f"{where}: {error.strerror}; need a folder that can be written") from None

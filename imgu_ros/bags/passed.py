@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
+from imgu_ros.bags.output_folder import RunFolder
 from imgu_ros.bags.reasons import Reasons
 from imgu_ros.files.pose_files import RisingStamps
 from imgu_ros.params import Parameters
@@ -85,7 +85,7 @@ class Replayed:
 
     Attributes
     ----------
-    out : its folder, with a complete frames.csv
+    folder : its folder, with a complete frames.csv
     passed : what is remembered of the frames
     source : what was replayed
     truths : of the truth file; empty without one
@@ -94,7 +94,7 @@ class Replayed:
     warnings : all so far
     """
 
-    out: Path
+    folder: RunFolder
     passed: Passed
     source: Source
     truths: Sequence[Truth]

@@ -13,17 +13,19 @@ import numpy as np
 import yaml
 
 from imgu_ros.bags.messages import make_message
-from imgu_ros.bags.writing import BagWriter
+from imgu_ros.bags.output_folder import Contents, check_output_folder, output_folder
+from imgu_ros.bags.writing import BagWriter, bag_files, unfinished_bag_files
 from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.encodings import Encoding, encoding_named
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
-from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.errors import ParameterError
 from imgu_ros.files.images import write_image
 from imgu_ros.files.text_files import write_text
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import Truth, write_truth
+from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.vision.formation.layout import ColorModel
 from imgu_ros.vision.formation.sensor import Sensor
 
@@ -32,8 +34,8 @@ CAMERA_INFO_TOPIC = "/camera/camera_info"
 TRUTH_FILE = "truth.csv"
 PARAMETER_FILE = "params.yaml"
 
-_BAG_FILES = ("*.mcap", "*.db3", "*.zstd", "metadata.yaml")
-_OWN_FILES = (TRUTH_FILE, PARAMETER_FILE, "*.png")
+#: Where the bag is written, in a folder of its name.
+_UNFINISHED = "bag.part"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ def record_simulation(
     simulation : its layout is taken from the format's encoding
     bag_format : 8-bit Bayer RGGB in MCAP when None
     targets : pictures before the camera; one procedural picture when None
-    overwrite : replace an earlier simulated bag; anything else in the folder is never touched
+    overwrite : replace the files of an earlier simulation; nothing else is ever removed
     on_progress : called with (frames done, frames in all)
 
     Returns
@@ -93,13 +95,17 @@ def record_simulation(
     simulation = replace(simulation, layout=encoding.layout)
     _check_format(bag_format, encoding, simulation.sensor)
     targets = tuple(targets) if targets is not None else default_targets(1, simulation.seed)
+    contents, name = _contents(out, targets, bag_format.storage), _bag_name(out)
+    check_output_folder(out, contents, overwrite=overwrite)
     # The first frame is made before the folder is touched: it raises what is wrong with the simulation.
     frames = simulate_sequence(simulation, targets, workers=min(4, os.cpu_count() or 1))
     pending = next(frames, None)
-    _prepare_folder(out, overwrite)
     truths: list[Truth] = []
-    with BagWriter(out, bag_format.storage, bag_format.compression) as bag:
+    with HeldExitStack() as stack:
+        folder = stack.enter_context(output_folder(out, contents, overwrite=overwrite))
         _write_side_files(out, targets, simulation.sensor)
+        unfinished = f"{_UNFINISHED}/{name}"
+        bag = stack.enter_context(BagWriter(out / unfinished, bag_format.storage, bag_format.compression))
         done = 0
         while pending is not None:
             frame = pending.frame
@@ -112,12 +118,16 @@ def record_simulation(
             if frame.camera is not None:
                 info = camera_info_message(make_message, header, frame.camera)
                 bag.write(CAMERA_INFO_TOPIC, info, frame.stamp_ns)
+            folder.at_work()
             bag.write(IMAGE_TOPIC, image, frame.stamp_ns)
             truths += pending.truths
             done += 1
             on_progress(done, simulation.frames)
             pending = next(frames, None)
-    write_truth(out / TRUTH_FILE, truths)
+        with held():
+            bag.close()
+            write_truth(out / TRUTH_FILE, truths)
+            folder.publish(*((f"{unfinished}/{file}", file) for file in bag_files(name, bag_format.storage)))
     return tuple(truths)
 
 
@@ -144,31 +154,21 @@ def _check_format(bag_format: BagFormat, encoding: Encoding, sensor: Sensor | No
         raise ParameterError(f"row padding: {bag_format.row_padding} bytes; need 0 to 65536")
 
 
-def _prepare_folder(out: Path, overwrite: bool) -> None:
-    """Make room for the bag: the folder ends up empty or absent."""
-    if not out.is_dir():
-        if out.exists():
-            raise FileError(f"{out}: is a file; need a new or an empty folder")
-        return
-    present = sorted(out.iterdir())
-    if not present:
-        return
-    if not overwrite:
-        raise FileError(f"{out}: folder is not empty; need a new or an empty one, or --overwrite")
-    own = {path for pattern in (*_BAG_FILES, *_OWN_FILES) for path in out.glob(pattern) if not path.is_dir()}
-    foreign = [path for path in present if path not in own]
-    if foreign or not {out / TRUTH_FILE, out / PARAMETER_FILE} & own:
-        what = f"{foreign[0].name} is not from a simulation" if foreign else "it holds no simulated bag"
-        raise FileError(f"{out}: {what}; need a new folder, an empty one, or an earlier simulated bag")
-    try:
-        for path in own:
-            path.unlink()
-    except OSError as error:
-        raise FileError(f"{error.filename}: {error.strerror}; need a folder that can be written") from None
+def _contents(out: Path, targets: Sequence[TargetImage], storage: str) -> Contents:
+    """Return what is written: bag files last, so that nobody takes half a bag for a whole one."""
+    name = _bag_name(out)
+    unfinished = (f"{_UNFINISHED}/{name}/{file}" for file in unfinished_bag_files(name))
+    side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE)
+    bag = bag_files(name, storage)
+    return Contents("simulation", (*unfinished, *side_files, *bag), bag[-1])
+
+
+def _bag_name(out: Path) -> str:
+    return Path(os.path.abspath(out)).name or "bag"
 
 
 def _write_side_files(out: Path, targets: Sequence[TargetImage], sensor: Sensor | None) -> None:
-    paths = [out.resolve() / f"{target.name}.png" for target in targets]
+    paths = [Path(os.path.realpath(out)) / f"{target.name}.png" for target in targets]
     for path, target in zip(paths, targets, strict=True):
         write_image(path, target.pixels)
     values: dict[str, object] = {

@@ -5,18 +5,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain as chained
 from pathlib import Path
 
 from imgu_ros.bags.frame_source import FrameSource
-from imgu_ros.bags.output_folder import check_output_folder, prepare_output_folder
+from imgu_ros.bags.output_folder import check_output_folder, output_folder
 from imgu_ros.bags.passed import Passed, Replayed
 from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.read_ahead import ReadFrame, read_ahead, size_of
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recorded_topics import checked_record
+from imgu_ros.bags.result_files import replay_contents
 from imgu_ros.bags.result_sink import ResultSink, result_sink
 from imgu_ros.bags.written import Files, Written
 from imgu_ros.codec.results import needs_keypoints
@@ -29,6 +30,7 @@ from imgu_ros.perception.size_checks import SizeChecks
 from imgu_ros.perception.targets import Target, prepare_targets
 from imgu_ros.report.summary import Source, Summary
 from imgu_ros.simulate.truth import read_truth
+from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.threads import one_processor_left_over, quick_thread_switches
 
 #: Of pictures that are read and developed and wait for the chain.
@@ -58,7 +60,7 @@ def replay(
     parameters : all parameters; `targets.images` must name at least one
     truth : truth file; the report then tells the errors
     record : outputs to write into the results bag beside those that always are
-    overwrite : replace the results of an earlier replay in `out`
+    overwrite : replace the files of an earlier replay in `out`; nothing else is ever removed
     on_progress : called after each frame with the number of frames done and, when it is known, of all
     on_warning : called once for each thing the user should know
 
@@ -71,13 +73,12 @@ def replay(
     """
     recorded = checked_record(record)
     truths = () if truth is None else read_truth(truth)
-    check_output_folder(out, overwrite=overwrite, inputs=bags)
+    check_output_folder(out, replay_contents(()), overwrite=overwrite, inputs=bags)
     warnings = _Warnings(on_warning)
-    with ExitStack() as stack:
+    with HeldExitStack() as stack:
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
-        sink = stack.enter_context(result_sink(bag.message_count // 2, recorded))
         targets = prepare_targets(load_target_images(parameters.targets, lambda text: warnings.add([text])), parameters)
         warnings.add(bag.warnings)
         source = FrameSource(bag, parameters)
@@ -89,9 +90,17 @@ def replay(
             warnings.add(bag.warnings, source.warnings)
             raise BagError(f"{source.image_topic.name}: no image in the bag can be read; need at least one")
         warnings.add(first.warnings)
-        prepare_output_folder(out, overwrite=overwrite, inputs=bags)
-        total = source.image_topic.count
-        sink.open(Files(out, parameters, tuple(target.name for target in targets), recorded, total))
+        total, names = source.image_topic.count, tuple(target.name for target in targets)
+        folder = stack.enter_context(
+            output_folder(
+                out,
+                replay_contents(names),
+                overwrite=overwrite,
+                inputs=bags,
+                on_warning=lambda text: warnings.add([text]),
+            )
+        )
+        sink = stack.enter_context(result_sink(Files(folder, parameters, names, recorded, total)))
         passed = _Run(total, targets, parameters, recorded, warnings, on_progress).over(chained([first], frames), sink)
         warnings.add(bag.warnings, source.warnings, passed.warnings())
         described = Source(
@@ -104,7 +113,7 @@ def replay(
             layout=passed.layout,
         )
         sizes = {target.name: target.size for target in targets}
-        summary = sink.report(Replayed(out, passed, described, truths, sizes, parameters, warnings.listed()))
+        summary = sink.report(Replayed(folder, passed, described, truths, sizes, parameters, warnings.listed()))
     warnings.add(summary.warnings)
     if passed.rejected == passed.frames:
         raise BagError(
@@ -156,7 +165,8 @@ class _Run:
                     if read.development is None
                     else worker.process(read.frame, with_keypoints, read.development)
                 )
-                sink.put(Written(result, read.time_ns))
+                with held():  # a frame is written whole
+                    sink.put(Written(result, read.time_ns))
                 self.warnings.add(sizes.add(result))
                 if result.calibration is not None and result.calibration.warning:
                     self.warnings.add([result.calibration.warning])

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last step of a replay: `summary.json` and `report.html`, from `frames.csv` and what was remembered."""
+"""The last step of a replay: `report.html`, then `summary.json`, which says that everything is complete."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from imgu_ros.bags.passed import Replayed
+from imgu_ros.bags.result_files import FRAMES, REPORT, SUMMARY, replay_contents
 from imgu_ros.parameter_values import parameter_values
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.html import write_report
@@ -34,15 +35,17 @@ def write_summary_and_report(replayed: Replayed, samples: Sequence[Sample]) -> S
     comparison = None
     if replayed.truths and passed.layout:
         comparison = TruthComparison(replayed.truths, replayed.sizes, passed.image_size, passed.camera)
-    table = read_frame_table(replayed.out / "frames.csv", comparison)
+    out = replayed.folder.path
+    table = read_frame_table(out / FRAMES, comparison)
     if comparison is not None and not comparison.compared:
         names = ", ".join(sorted({truth.target for truth in replayed.truths}))
         warnings.append(
             f"{replayed.source.truth}: has no stamp and target of this bag (its targets: {names}); no errors known"
         )
     summary = _summary(table, replayed, tuple(warnings))
-    write_summary(replayed.out / "summary.json", summary)
-    write_report(replayed.out / "report.html", table, summary, samples)
+    write_report(out / REPORT, table, summary, samples)
+    replayed.folder.sync(replay_contents(sorted(replayed.sizes)).files)
+    write_summary(out / SUMMARY, summary)
     return summary
 
 

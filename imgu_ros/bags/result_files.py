@@ -3,46 +3,55 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from imgu_ros.bags.output_folder import RESULTS
+from imgu_ros.bags.output_folder import Contents, RunFolder
 from imgu_ros.bags.results_bag import ResultsBag
-from imgu_ros.bags.written import Written
+from imgu_ros.bags.writing import bag_files, unfinished_bag_files
+from imgu_ros.bags.written import Files, Written
 from imgu_ros.files.frames_csv import FramesWriter
-from imgu_ros.files.pose_files import PoseFiles
-from imgu_ros.params import Parameters
+from imgu_ros.files.pose_files import AMBIGUOUS_FILE, PoseFiles, trajectory_file
+from imgu_ros.perception.result import Result
 from imgu_ros.report.samples import Samples
 
+FRAMES, REPORT, SUMMARY = "frames.csv", "report.html", "summary.json"
+RESULTS = "results"
+#: The results bag while it is written.
+_UNFINISHED = f"{RESULTS}.part/{RESULTS}"
 
-class ResultFiles:
-    """Writes every frame into all files; a context manager, which completes them.
+
+def replay_contents(targets: Sequence[str]) -> Contents:
+    """Return what a replay with these targets writes."""
+    files = (
+        FRAMES,
+        AMBIGUOUS_FILE,
+        *map(trajectory_file, targets),
+        *(f"{RESULTS}/{name}" for name in bag_files(RESULTS)),
+        *(f"{_UNFINISHED}/{name}" for name in unfinished_bag_files(RESULTS)),
+        REPORT,
+        SUMMARY,
+    )
+    return Contents("replay", files, SUMMARY)
+
+
+class RowFiles:
+    """Writes the tables, each frame at once: a process that is killed loses none; a context manager.
 
     Parameters
     ----------
-    out : the folder, prepared
-    parameters : of the replay
+    folder : of the replay
     targets : names
-    record : outputs to record beside those that always are
-    expected : number of frames, as far as it is known
-
-    Attributes
-    ----------
-    samples : some of the frames, drawn
     """
 
-    def __init__(
-        self, out: Path, parameters: Parameters, targets: Sequence[str], record: Sequence[str], expected: int = 0
-    ) -> None:
-        self.samples = Samples(expected)
-        self._frames = 0
+    def __init__(self, folder: RunFolder, targets: Sequence[str]) -> None:
+        self._folder = folder
         with ExitStack() as stack:
-            self._rows = stack.enter_context(FramesWriter(out / "frames.csv"))
-            self._poses = stack.enter_context(PoseFiles(out, targets))
-            self._messages = stack.enter_context(ResultsBag(out / RESULTS, parameters, targets, record))
+            self._rows = stack.enter_context(FramesWriter(folder.path / FRAMES))
+            self._poses = stack.enter_context(PoseFiles(folder.path, targets))
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -53,10 +62,49 @@ class ResultFiles:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
+    def write(self, result: Result) -> None:
+        """Write one frame."""
+        self._folder.at_work()
+        self._rows.write(result)
+        self._poses.write(result)
+
+
+class BagFiles:
+    """Writes the results bag, and draws samples; a context manager, which completes the bag and gives it its name.
+
+    A bag that could not be written to the end stays where it was written.
+
+    Attributes
+    ----------
+    samples : some of the frames, drawn
+    """
+
+    def __init__(self, files: Files) -> None:
+        self.samples = Samples(files.expected)
+        self._frames = 0
+        self._folder = files.folder
+        self._is_whole = True
+        self._messages = ResultsBag(files.folder.path / _UNFINISHED, files.parameters, files.targets, files.record)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # The error under way is the one to report.
+        with contextlib.nullcontext() if error is None else contextlib.suppress(Exception):
+            self._messages.close()
+            if self._is_whole:
+                self._folder.publish((_UNFINISHED, RESULTS))
+
     def write(self, written: Written) -> None:
         """Write one frame."""
-        self._rows.write(written.result)
-        self._poses.write(written.result)
-        self._messages.write(written.result, written.time_ns)
+        try:
+            self._folder.at_work()
+            self._messages.write(written.result, written.time_ns)
+        except BaseException:
+            self._is_whole = False
+            raise
         self.samples.offer(self._frames, written.result)
         self._frames += 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results written by a process of their own, which `imgu_ros.bags.result_writer` is."""
+"""Results written by a process of their own, which `imgu_ros.bags.result_writer` is; the rows by this one, at once."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from imgu_ros.bags.background import Background
 from imgu_ros.bags.passed import Replayed
+from imgu_ros.bags.result_files import RowFiles
 from imgu_ros.bags.written import Files, Written
 from imgu_ros.errors import BagError
 from imgu_ros.params import DemosaicParameters, RawParameters
@@ -22,6 +23,7 @@ from imgu_ros.perception.develop import develop
 from imgu_ros.perception.result import Result
 from imgu_ros.report.samples import SampleChoice
 from imgu_ros.report.summary import Summary
+from imgu_ros.stop_signals import blocked, held
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 #: Results that are handed over at once.
@@ -34,39 +36,32 @@ _NOTHING_TO_SEE = develop(_NO_PICTURE, RawParameters(), DemosaicParameters())
 
 
 class ResultProcess:
-    """A `ResultSink` in a process of its own, which is started at once.
+    """A `ResultSink` whose bag and report a process of their own writes.
 
     Raises
     ------
     OSError
         If no process can be started.
+    FileError
+        If a table cannot be written.
     """
 
-    def __init__(self) -> None:
-        # What this process imports, the other must find.
-        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "imgu_ros.bags.result_writer"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            env={**os.environ, "PYTHONPATH": paths},
-            process_group=0,  # Ctrl-C is for this process alone, which then has the files completed
-        )
-        self._sender: Background[bytes] | None = None
+    def __init__(self, files: Files) -> None:
+        self._process = _started(files.folder.lock)
+        try:
+            self._rows = RowFiles(files.folder, files.targets)
+        except BaseException:
+            self._end()
+            raise
         self._batch: list[Written] = []
-        self._choice = SampleChoice()
-        self._has_reported = False
-
-    def open(self, files: Files) -> None:
-        """Begin; the first call."""
         self._choice = SampleChoice(files.expected)
+        self._has_answered = False
         self._sender = Background(self._send, limit=_WAITING)
-        self._sender.__enter__()
         self._put(files)
 
     def put(self, written: Written) -> None:
-        """Take one frame's result; wait while many have not been written."""
+        """Write one frame's rows and hand over the rest; wait while many have not been written."""
+        self._rows.write(written.result)
         # A picture is handed over when it will be drawn; other results are a few kilobytes.
         result = replace(written.result, pyramid=None, descriptors=None)
         is_drawn = self._choice.is_due(result)
@@ -76,10 +71,11 @@ class ResultProcess:
 
     def report(self, replayed: Replayed) -> Summary:
         """Complete the files of the frames, then write summary and report; the last call."""
-        self._flush()
-        self._put(replayed)
-        self._end_sending()
-        self._has_reported = True
+        with held():
+            self._rows.__exit__(None, None, None)
+            self._flush()
+            self._put(replayed)
+            self._end_sending()
         return cast("Summary", self._answer())
 
     def __enter__(self) -> Self:
@@ -89,15 +85,11 @@ class ResultProcess:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if self._sender is None:
-                self._process.kill()  # it has begun nothing
-            elif not self._has_reported:
+            self._rows.__exit__(kind, error, trace)
+            if not self._has_answered:
                 self._complete(error)
         finally:
-            for pipe in (self._process.stdin, self._process.stdout):
-                if pipe is not None:
-                    pipe.close()
-            self._process.wait()
+            self._end()
 
     def _complete(self, error: BaseException | None) -> None:
         """Have the files completed, without a report; `error`, when there is one, is the one to raise."""
@@ -109,13 +101,19 @@ class ResultProcess:
             if error is None:
                 raise
 
+    def _end(self) -> None:
+        """Wait for the process, which ends with its input."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait()
+
     def _flush(self) -> None:
         batch, self._batch = self._batch, []
         if batch:
             self._put(batch)
 
     def _put(self, item: object) -> None:
-        assert self._sender is not None
         try:
             self._sender.put(pickle.dumps(item, pickle.HIGHEST_PROTOCOL))
         except OSError:  # it has ended: its answer says why
@@ -129,7 +127,7 @@ class ResultProcess:
             view = view[pipe.write(view) :]
 
     def _end_sending(self) -> None:
-        assert self._sender is not None and self._process.stdin is not None
+        assert self._process.stdin is not None
         try:
             self._sender.__exit__(None, None, None)
             self._process.stdin.close()
@@ -138,7 +136,7 @@ class ResultProcess:
 
     def _answer(self) -> Any:
         """Return what the process said at its end, or raise it."""
-        self._has_reported = True
+        self._has_answered = True
         assert self._process.stdout is not None
         data = self._process.stdout.read()
         if not data:
@@ -147,6 +145,22 @@ class ResultProcess:
         if isinstance(answer, BaseException):
             raise answer
         return answer
+
+
+def _started(lock: int) -> subprocess.Popen[bytes]:
+    # What this process imports, the other must find.
+    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    # A signal is for this process alone, which then has the files completed.
+    with blocked():
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "imgu_ros.bags.result_writer"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            env={**os.environ, "PYTHONPATH": paths},
+            process_group=0,
+            pass_fds=(lock,),  # the folder is in use until the other has ended too
+        )
 
 
 def _without_pictures(result: Result) -> Result:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -21,11 +20,8 @@ class ResultSink(Protocol):
     """Writes results in order, behind the one who puts them.
 
     A context manager: leaving it completes the files, after an error or an interrupt too. What goes wrong while writing
-    is raised by a later call, at the latest on leaving.
+    is raised by a later call, at the latest on leaving. Rows are in their files when `put` returns, or soon after.
     """
-
-    def open(self, files: Files) -> None:
-        """Begin; the first call."""
 
     def put(self, written: Written) -> None:
         """Take one frame's result."""
@@ -40,25 +36,25 @@ class ResultSink(Protocol):
     ) -> None: ...
 
 
-def result_sink(expected: int, record: Sequence[str]) -> ResultSink:
-    """Return what writes the results of about `expected` frames.
+def result_sink(files: Files) -> ResultSink:
+    """Return what writes the results.
 
     A process of its own, where that pays: threads hold up each other, as Python runs one of them at a time. With a
     thread where pictures or keypoints are recorded, which would all have to be handed over; the files are the same.
     """
     # In a program that was frozen into one file, that file stands where the interpreter should.
     has_python = bool(sys.executable) and not getattr(sys, "frozen", False)
-    if expected >= _WORTH_A_PROCESS and not record and has_python and _processors() > 1:
+    if files.expected >= _WORTH_A_PROCESS and not files.record and has_python and _processors() > 1:
         from imgu_ros.bags.result_process import ResultProcess
 
         try:
-            return ResultProcess()
+            return ResultProcess(files)
         except OSError:  # no room for another process
             pass
     # Imported where it is used, for it takes some tenths of a second: what writes bags.
     from imgu_ros.bags.result_thread import ResultThread
 
-    return ResultThread()
+    return ResultThread(files)
 
 
 def _processors() -> int:

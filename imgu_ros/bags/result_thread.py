@@ -9,31 +9,24 @@ from typing import Self
 
 from imgu_ros.bags.background import Background
 from imgu_ros.bags.passed import Replayed
-from imgu_ros.bags.result_files import ResultFiles
+from imgu_ros.bags.result_files import BagFiles, RowFiles
 from imgu_ros.bags.written import Files, Written
-from imgu_ros.report.samples import Sample
 from imgu_ros.report.summary import Summary
+from imgu_ros.stop_signals import held
 
 
 class ResultThread:
     """A `ResultSink` in this process."""
 
-    def __init__(self) -> None:
-        self._stack = ExitStack()
-        self._behind: Background[Written] | None = None
-        self._files: ResultFiles | None = None
-        self._samples: tuple[Sample, ...] = ()
-
-    def open(self, files: Files) -> None:
-        """Begin; the first call."""
-        self._files = self._stack.enter_context(
-            ResultFiles(files.out, files.parameters, files.targets, files.record, files.expected)
-        )
-        self._behind = self._stack.enter_context(Background(self._files.write))
+    def __init__(self, files: Files) -> None:
+        with ExitStack() as stack:
+            self._rows = stack.enter_context(RowFiles(files.folder, files.targets))
+            self._bag = stack.enter_context(BagFiles(files))
+            self._behind = stack.enter_context(Background(self._write))
+            self._stack = stack.pop_all()
 
     def put(self, written: Written) -> None:
         """Take one frame's result; wait while several have not been written."""
-        assert self._behind is not None
         self._behind.put(written)
 
     def report(self, replayed: Replayed) -> Summary:
@@ -41,11 +34,9 @@ class ResultThread:
         # Imported here, for it takes half a second: what draws.
         from imgu_ros.bags.reporting import write_summary_and_report
 
-        self._stack.close()
-        assert self._files is not None
-        samples = self._files.samples.chosen()
-        self._files = None
-        return write_summary_and_report(replayed, samples)
+        with held():
+            self._stack.close()
+        return write_summary_and_report(replayed, self._bag.samples.chosen())
 
     def __enter__(self) -> Self:
         return self
@@ -54,3 +45,7 @@ class ResultThread:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stack.__exit__(kind, error, trace)
+
+    def _write(self, written: Written) -> None:
+        self._rows.write(written.result)
+        self._bag.write(written)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process that writes a replay's results: `python -m imgu_ros.bags.result_writer`, for `ResultProcess` alone.
+"""Writes a replay's bag and report: the process `python -m imgu_ros.bags.result_writer`, for `ResultProcess` alone.
 
 Reads pickled `Files`, then lists of `Written`, then perhaps `Replayed` from standard input, and at the end writes to
-standard output, pickled, the summary, None, or what went wrong. Whatever ends the input, the files are completed.
+standard output, pickled, the summary, None, or what went wrong. Whatever ends the input, the bag is completed; without
+`Replayed` there is no summary, which would say that the replay is complete. Signals that stop the other process are
+blocked here: a container or a service manager sends them to both.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import BinaryIO, NoReturn
 
 from imgu_ros.bags.passed import Replayed
 from imgu_ros.bags.reporting import write_summary_and_report
-from imgu_ros.bags.result_files import ResultFiles
+from imgu_ros.bags.result_files import BagFiles
 from imgu_ros.bags.written import Files, Written
 from imgu_ros.errors import ImguError
 from imgu_ros.report.summary import Summary
@@ -42,15 +44,14 @@ def main() -> NoReturn:
 def serve(source: BinaryIO) -> Summary | None:
     """Write the results that `source` holds; return the summary when a report was asked for."""
     with ExitStack() as stack:
-        opened: ResultFiles | None = None
+        opened: BagFiles | None = None
         while True:
             try:
                 item = pickle.load(source)
             except (EOFError, pickle.UnpicklingError):  # the end, or the other process was killed
                 return None
             if isinstance(item, Files):
-                files = ResultFiles(item.out, item.parameters, item.targets, item.record, item.expected)
-                opened = stack.enter_context(files)
+                opened = stack.enter_context(BagFiles(item))
             elif isinstance(item, Replayed):
                 stack.close()
                 return write_summary_and_report(item, () if opened is None else opened.samples.chosen())
@@ -58,7 +59,7 @@ def serve(source: BinaryIO) -> Summary | None:
                 _write(opened, item)
 
 
-def _write(files: ResultFiles, batch: list[Written]) -> None:
+def _write(files: BagFiles, batch: list[Written]) -> None:
     for written in batch:
         files.write(written)
 

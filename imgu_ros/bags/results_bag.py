@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from imgu_ros.bags.messages import make_message
@@ -24,7 +23,7 @@ from imgu_ros.vision.camera.rigid import rigid_transforms
 
 
 class ResultsBag:
-    """Writes the results bag (MCAP); a context manager.
+    """Writes the results bag (MCAP).
 
     Parameters
     ----------
@@ -47,13 +46,15 @@ class ResultsBag:
         self._map_path = PathHistory(make_message, self._map_frame, parameters.path.max_length)
         self._writer = BagWriter(path)
 
-    def __enter__(self) -> ResultsBag:
-        return self
+    def close(self) -> None:
+        """Complete the bag.
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._writer.__exit__(kind, error, trace)
+        Raises
+        ------
+        BagError
+            If it cannot be completed.
+        """
+        self._writer.close()
 
     def write(self, result: Result, time_ns: int) -> None:
         """Write the messages of one frame; `time_ns` is when the bag recorded the frame."""

@@ -30,6 +30,20 @@ _PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 _COMPRESSION_MODES = {"mcap": CompressionMode.STORAGE, "sqlite3": CompressionMode.MESSAGE}
 
 
+def bag_files(name: str, storage: str = "mcap") -> tuple[str, ...]:
+    """Return the names of the files of a bag whose folder is called `name`; the last one makes it a bag."""
+    return (f"{name}.{'mcap' if storage == 'mcap' else 'db3'}", "metadata.yaml")
+
+
+def unfinished_bag_files(name: str) -> tuple[str, ...]:
+    """Return the names that such a folder can hold while the bag is written, in whatever storage."""
+    return (
+        *bag_files(name),
+        "metadata.yaml.tmp",
+        *(f"{name}.db3{suffix}" for suffix in ("", "-journal", "-wal", "-shm")),
+    )
+
+
 class BagWriter:
     """Writes messages made by `make_message` into a new rosbag2 directory, one by one, in bounded memory.
 

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
+from imgu_ros.bags.output_folder import RunFolder
 from imgu_ros.params import Parameters
 from imgu_ros.perception.result import Result
 
@@ -24,14 +24,14 @@ class Files:
 
     Attributes
     ----------
-    out : the folder, prepared
+    folder : where
     parameters : of the replay
     targets : names
     record : outputs to record beside those that always are
     expected : number of frames, as far as it is known
     """
 
-    out: Path
+    folder: RunFolder
     parameters: Parameters
     targets: tuple[str, ...]
     record: tuple[str, ...]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from imgu_ros.bench.figures import Figures
 from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TITLES, TRACKING
 from imgu_ros.bench.suites import SEQUENCE, SINGLE
-from imgu_ros.errors import FileError
+from imgu_ros.files.whole_files import write_whole
 from imgu_ros.simulate.conditions import PLAIN
 
 #: Okabe & Ito 2008.
@@ -53,10 +54,9 @@ def write_plot(path: Path, rows: Sequence[Figures]) -> bool:
             _time_and_accuracy(axes.pop(0), plain)
         for kind, size in robust:
             _found(axes.pop(0), rows, kind, size, conditions)
-    try:
-        figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=110)
+    write_whole(path, content.getvalue())
     return True
 
 

@@ -33,6 +33,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"--frames: {arguments.frames}; need at least 1")
     # What the user sets is checked before minutes are spent on the simulation.
     parameters_of(arguments)
+    from imgu_ros.bags.folder_lock import locked_folder
+
+    _claim(arguments.out)
+    with locked_folder(arguments.out):
+        return _demo(arguments)
+
+
+def _demo(arguments: argparse.Namespace) -> int:
     from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
     from imgu_ros.bags.replay import replay
     from imgu_ros.cli.progress import Progress
@@ -40,7 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.files.parameter_files import read_parameter_file
     from imgu_ros.simulate.sequence import Simulation
 
-    _claim(arguments.out)
     bag, results = arguments.out / "bag", arguments.out / "replay"
     simulation = Simulation(frames=arguments.frames)
     say(

@@ -8,6 +8,7 @@ import contextlib
 import errno
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -16,6 +17,7 @@ from imgu_ros.cli.terminal import Parser, fail, let_streams_print_everything, sa
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.nearest_name import nearest_name
 from imgu_ros.shown_text import quoted
+from imgu_ros.stop_signals import Stopped, requested, stop_signals
 
 #: Every command and the module that does it. A module has `HELP`, `add_arguments(parser)` and `run(arguments)`,
 #: and imports nothing heavy before `run`.
@@ -37,7 +39,8 @@ COMMANDS = {
 #: Top-level modules that come with the `ros` extra.
 ROS_MODULES = ("rclpy", "rcl_interfaces", "sensor_msgs", "geometry_msgs", "nav_msgs", "std_msgs", "std_srvs")
 
-OK, FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+OK, FAILED, USAGE, BROKEN_PIPE = 0, 1, 2, 141
+_STOPPED = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -49,7 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    0 on success, 1 on a failure that one line on stderr explains, 2 on wrong usage, 130 after Ctrl-C,
+    0 on success, 1 on a failure that one line on stderr explains, 2 on wrong usage, 128 and the signal's number after
+    one that asked for a stop (SIGINT: 130, SIGTERM: 143, SIGHUP: 129), once files are complete;
     141 when the reader of the output went away (as if by SIGPIPE)
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -58,16 +62,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     # The chain's matrices are small: a second thread of BLAS gains nothing, and spins on a core that others need.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with stop_signals():
+        try:
+            return _run_and_explain(arguments)
+        except KeyboardInterrupt as stop:
+            return _stopped(getattr(stop, "number", signal.SIGINT))
+
+
+def _run_and_explain(arguments: list[str]) -> int:
     try:
-        _refuse_unspeakable(arguments)
-        code = _run(arguments)
-        sys.stdout.flush()
-        return code
+        try:
+            _refuse_unspeakable(arguments)
+            code = _run(arguments)
+            sys.stdout.flush()
+            return code
+        except Exception:
+            # What was interrupted may have made an error of its own of it, as C code does in an import.
+            if requested():
+                raise Stopped(requested()) from None
+            raise
     except ImguError as error:
         return _failed(str(error))
-    except KeyboardInterrupt:
-        tell("imgu: interrupted")
-        return INTERRUPTED
     except BrokenPipeError:
         # What is still buffered would raise again when the interpreter flushes stdout at exit.
         _discard_stdout()
@@ -156,6 +171,14 @@ def _unknown_command(name: str) -> int:
     hint = f" (did you mean {near}?)" if near else ""
     fail(f"{quoted(name)} is no command{hint}; need one of {', '.join(COMMANDS)}")
     return USAGE
+
+
+def _stopped(number: int) -> int:
+    _flush_or_discard_stdout()
+    name = _STOPPED.get(signal.Signals(number), "hung up")
+    with contextlib.suppress(OSError):  # the terminal is gone
+        tell(f"imgu: {name}")
+    return 128 + number
 
 
 def _failed(reason: str) -> int:

@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--record", nargs="+", action="extend", default=[], metavar="TOPIC",
         help="also record these: keypoints, matches, path, image_color, image_mono, debug_image, ...",
     )  # fmt: skip
-    parser.add_argument("--overwrite", action="store_true", help="replace the results of an earlier replay in DIR")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the files of an earlier replay in DIR, nothing else"
+    )
     add_parameter_options(parser)
 
 

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     # fmt: off
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="BAG", help="folder of the bag: new or empty")
-    add("--overwrite", action="store_true", help="replace an earlier simulated bag in BAG")
+    add("--overwrite", action="store_true", help="replace the files of an earlier simulation in BAG, nothing else")
     add("--seed", type=int, default=0, help="of texture, path and noise (default 0)")
 
     group = parser.add_argument_group("sequence")

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import FileError
-from imgu_ros.files.text_files import csv_writer, open_for_writing
+from imgu_ros.files.text_files import csv_line, csv_writer
+from imgu_ros.files.whole_files import LineFile
 from imgu_ros.perception.result import Result, Stage, TargetResult
 from imgu_ros.shown_text import as_cell, cell_text, shown
 from imgu_ros.types import Floats
@@ -32,7 +33,7 @@ COLUMNS = (*_IDENTITY, *_COUNTS, *H_COLUMNS, *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS,
 
 
 class FramesWriter:
-    """Writes `frames.csv`; a context manager.
+    """Writes `frames.csv`, every row at once, so that a process that is killed loses none; a context manager.
 
     Parameters
     ----------
@@ -40,9 +41,8 @@ class FramesWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = open_for_writing(path)
+        self._file = LineFile(path, csv_line(COLUMNS))
         self._writer = csv_writer(self._file)
-        self._writer.writerow(COLUMNS)
 
     def __enter__(self) -> FramesWriter:
         return self

@@ -26,6 +26,7 @@ from imgu_ros.files.picture_tags import (
 )
 from imgu_ros.files.pnm import decode_pnm, encode_pnm, is_pnm
 from imgu_ros.files.transparency import composed, split_alpha
+from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Image, as_image
 
 #: What each kind of file can hold: (number of channels, data types).
@@ -133,11 +134,7 @@ def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality
         pixels = as_image(pixels, "image", (1, 3), (np.uint8,))
     check_image_file(path, pixels)
     pixels = as_image(pixels, "image", (1, 3))
-    encoded = _encoded(path, path.suffix.lower(), pixels, plain, quality)
-    try:
-        path.write_bytes(encoded)
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+    write_whole(path, _encoded(path, path.suffix.lower(), pixels, plain, quality))
 
 
 def check_image_file(path: Path | str, pixels: Image | None = None) -> None:

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TextIO
 
 import numpy as np
 
-from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
-from imgu_ros.files.text_files import csv_writer, open_for_writing
+from imgu_ros.files.text_files import csv_line, csv_writer
+from imgu_ros.files.whole_files import LineFile
 from imgu_ros.perception.result import PoseStatus, Result
 from imgu_ros.shown_text import as_cell
 
+AMBIGUOUS_FILE = "ambiguous.csv"
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
 
 _SECOND_NS = 1_000_000_000
@@ -50,11 +50,13 @@ class PoseFiles:
     """
 
     def __init__(self, out: Path, targets: Sequence[str]) -> None:
-        self._stack = ExitStack()
         self._rising = RisingStamps()
-        self._trajectories = {name: self._open(out / f"poses_{name}.tum") for name in targets}
-        self._ambiguous = csv_writer(self._open(out / "ambiguous.csv"))
-        self._ambiguous.writerow(AMBIGUOUS_COLUMNS)
+        with ExitStack() as stack:
+            self._trajectories = {name: stack.enter_context(LineFile(out / trajectory_file(name))) for name in targets}
+            self._ambiguous = csv_writer(
+                stack.enter_context(LineFile(out / AMBIGUOUS_FILE, csv_line(AMBIGUOUS_COLUMNS)))
+            )
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> PoseFiles:
         return self
@@ -80,12 +82,10 @@ class PoseFiles:
                     texts = [repr(float(value)) for value in values]
                     self._ambiguous.writerow([frame.stamp_ns, *names, number, *texts])
 
-    def _open(self, path: Path) -> TextIO:
-        try:
-            return self._stack.enter_context(open_for_writing(path))
-        except FileError:
-            self._stack.close()
-            raise
+
+def trajectory_file(target: str) -> str:
+    """Return the name of a target's trajectory."""
+    return f"poses_{target}.tum"
 
 
 def seconds_text(stamp_ns: int) -> str:

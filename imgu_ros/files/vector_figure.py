@@ -17,6 +17,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.textpath import text_to_path
 
 from imgu_ros.errors import FileError
+from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Image, Points, as_image, as_points
 
 #: Suffixes of vector formats.
@@ -155,10 +156,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     if suffix not in VECTOR_SUFFIXES:
         raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(VECTOR_SUFFIXES)}")
     content = _postscript(figure, suffix[1:]) if suffix in _POSTSCRIPT else _dated(figure, suffix[1:])
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+    write_whole(path, content)
 
 
 def _dated(figure: Figure, kind: str) -> bytes:

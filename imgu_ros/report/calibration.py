@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, save_figure
+from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.calibration import Calibration
 
@@ -61,10 +63,9 @@ def draw_calibration(path: Path, calibration: Calibration, corners: Sequence[Poi
         if path.suffix.lower() in VECTOR_SUFFIXES:
             save_figure(figure, path)
             return
-        try:
-            figure.savefig(path, dpi=110)
-        except OSError as error:
-            raise FileError(f"{path}: {error.strerror}; need a place that can be written") from None
+        content = io.BytesIO()
+        figure.savefig(content, format=path.suffix[1:].lower(), dpi=110)
+        write_whole(path, content.getvalue())
 
 
 def _draw_vectors(axes: Any, calibration: Calibration, corners: Sequence[Points]) -> None:

@@ -116,7 +116,7 @@ def write_summary(path: Path, summary: Summary) -> None:
         If the file cannot be written.
     """
     text = json.dumps(dataclasses.asdict(summary), indent=2, allow_nan=False) + "\n"
-    write_text(path, text)
+    write_text(path, text, synced=True)
 
 
 def target_summaries(table: FrameTable) -> tuple[TargetSummary, ...]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import FileError, ShapeError
 from imgu_ros.files.frames_csv import H_COLUMNS, Q_COLUMNS, T_COLUMNS
 from imgu_ros.files.reading import file_lines
+from imgu_ros.files.text_files import write_text
 from imgu_ros.shown_text import as_cell, cell_text
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -58,16 +60,14 @@ def write_truth(path: Path, truths: Iterable[Truth]) -> None:
     FileError
         If the file cannot be written.
     """
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for truth in truths:
-                numbers = [repr(float(x)) for x in truth.H.ravel()]
-                pose = [""] * 7 if truth.pose is None else [repr(float(x)) for x in truth.pose.numbers()]
-                writer.writerow([truth.stamp_ns, as_cell(truth.target), *numbers, *pose])
-    except OSError as error:
-        raise FileError(f"{path}: {error.strerror}; need a file that can be written") from None
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for truth in truths:
+        numbers = [repr(float(x)) for x in truth.H.ravel()]
+        pose = [""] * 7 if truth.pose is None else [repr(float(x)) for x in truth.pose.numbers()]
+        writer.writerow([truth.stamp_ns, as_cell(truth.target), *numbers, *pose])
+    write_text(path, text.getvalue())
 
 
 def read_truth(path: Path) -> tuple[Truth, ...]:

@@ -8,22 +8,26 @@ import io
 import json
 import os
 import pickle
-import signal
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from imgu_ros.bags import result_sink
 from imgu_ros.bags.frame_source import FrameSource
+from imgu_ros.bags.output_folder import output_folder
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recording import record_simulation
 from imgu_ros.bags.replay import replay
+from imgu_ros.bags.result_files import replay_contents
 from imgu_ros.bags.result_process import ResultProcess
 from imgu_ros.bags.result_thread import ResultThread
 from imgu_ros.bags.result_writer import serve
 from imgu_ros.bags.written import Files, Written
-from imgu_ros.errors import BagError, FileError
+from imgu_ros.errors import BagError
 from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.parameter_values import parameters_from
@@ -64,8 +68,10 @@ def in_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
 
 
-def files(out: Path, parameters: Parameters) -> Files:
-    return Files(out, parameters, ("poster",), (), FRAMES)
+@contextmanager
+def files(out: Path, parameters: Parameters, record: tuple[str, ...] = ()) -> Iterator[Files]:
+    with output_folder(out, replay_contents(["poster"]), overwrite=False) as folder:
+        yield Files(folder, parameters, ("poster",), record, FRAMES)
 
 
 def untimed(path: Path) -> list[dict[str, str]]:
@@ -106,20 +112,27 @@ def test_the_same_files(
     assert [text.partition('"')[0] for text in pictures[0]] == [text.partition('"')[0] for text in pictures[1]]
 
 
-def test_what_is_chosen() -> None:
-    assert isinstance(result_sink.result_sink(FRAMES, ()), ResultThread)
+def chosen(tmp_path: Path, parameters: Parameters, record: tuple[str, ...] = ()) -> type[result_sink.ResultSink]:
+    with files(tmp_path, parameters, record) as described, result_sink.result_sink(described) as sink:
+        return type(sink)
 
 
-def test_without_another_process_a_thread_does_it(monkeypatch: pytest.MonkeyPatch, in_a_process: None) -> None:
+def test_what_is_chosen(tmp_path: Path, parameters: Parameters) -> None:
+    assert chosen(tmp_path, parameters) is ResultThread
+
+
+def test_without_another_process_a_thread_does_it(
+    monkeypatch: pytest.MonkeyPatch, in_a_process: None, tmp_path: Path, parameters: Parameters
+) -> None:
     def refused(*_: object, **__: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     monkeypatch.setattr(subprocess, "Popen", refused)
-    assert isinstance(result_sink.result_sink(FRAMES, ()), ResultThread)
+    assert chosen(tmp_path, parameters) is ResultThread
 
 
-def test_pictures_are_recorded_by_a_thread(in_a_process: None) -> None:
-    assert isinstance(result_sink.result_sink(FRAMES, ("debug_image",)), ResultThread)
+def test_pictures_are_recorded_by_a_thread(in_a_process: None, tmp_path: Path, parameters: Parameters) -> None:
+    assert chosen(tmp_path, parameters, ("debug_image",)) is ResultThread
 
 
 def test_an_interrupt_leaves_whole_files(bag: Path, parameters: Parameters, tmp_path: Path, in_a_process: None) -> None:
@@ -136,25 +149,33 @@ def test_an_interrupt_leaves_whole_files(bag: Path, parameters: Parameters, tmp_
     assert not (tmp_path / "out" / "report.html").exists()
 
 
-def test_an_error_before_the_first_frame_ends_the_process(tmp_path: Path) -> None:
-    sink = ResultProcess()
-    with pytest.raises(ZeroDivisionError), sink:
-        raise ZeroDivisionError
-    assert sink._process.returncode == -signal.SIGKILL
+def test_an_error_before_the_first_frame_ends_the_process(tmp_path: Path, parameters: Parameters) -> None:
+    with files(tmp_path, parameters) as described:
+        sink = ResultProcess(described)
+        with pytest.raises(ZeroDivisionError), sink:
+            raise ZeroDivisionError
+    assert sink._process.returncode == 0
 
 
 def test_what_the_process_cannot_write_is_raised(
     parameters: Parameters, written: list[Written], tmp_path: Path
 ) -> None:
-    with pytest.raises(FileError, match=r"frames\.csv"), ResultProcess() as sink:
-        sink.open(files(tmp_path / "missing", parameters))
+    (tmp_path / "results.part").touch()
+    with (
+        pytest.raises(BagError, match=r"results\.part"),
+        files(tmp_path / "out", parameters) as described,
+        ResultProcess(replace(described, folder=replace(described.folder, path=tmp_path))) as sink,
+    ):
         for item in written:
             sink.put(item)
 
 
 def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: list[Written], tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="ended early, with code -9"), ResultProcess() as sink:
-        sink.open(files(tmp_path, parameters))
+    with (
+        pytest.raises(BagError, match="ended early, with code -9"),
+        files(tmp_path, parameters) as described,
+        ResultProcess(described) as sink,
+    ):
         sink._process.kill()
         sink._process.wait()
         for _ in range(400):
@@ -164,7 +185,7 @@ def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: li
 def test_an_input_that_breaks_off_leaves_whole_files(
     parameters: Parameters, written: list[Written], tmp_path: Path
 ) -> None:
-    stream = pickle.dumps(files(tmp_path, parameters)) + pickle.dumps(written) + pickle.dumps(written)[:-100]
-    assert serve(io.BytesIO(stream)) is None
-    assert len(untimed(tmp_path / "frames.csv")) == 3
+    with files(tmp_path, parameters) as described:
+        stream = pickle.dumps(described) + pickle.dumps(written) + pickle.dumps(written)[:-100]
+        assert serve(io.BytesIO(stream)) is None
     assert len({time_ns for _, time_ns, _ in messages(tmp_path)}) == 3

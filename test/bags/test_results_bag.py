@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ def test_the_camera_in_the_map(tmp_path: Path) -> None:
     image = RawImage(np.zeros((4, 6), np.uint8), PixelLayout(ColorModel.MONO))
     seen = CAMERA.inverse().after(PLACE)
     pose = Pose(seen.R, seen.t, np.eye(6) * 1e-6, 0.1)
-    with ResultsBag(tmp_path / "results", parameters, ["a"], ["path"]) as bag:
+    with closing(ResultsBag(tmp_path / "results", parameters, ["a"], ["path"])) as bag:
         for n, status in enumerate((Status.DETECTED, Status.LOST, Status.TRACKED)):
             given = pose if status.found else None
             target = TargetResult("a", 0, status, PoseStatus.METRIC if given else PoseStatus.NONE, pose=given)

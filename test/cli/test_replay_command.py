@@ -104,7 +104,11 @@ def test_a_good_replay(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert captured.err == "replay: 2 of 2 frames\n"
     assert captured.out.rstrip().endswith(str(out / "report.html"))
     names = {path.name for path in out.iterdir()}
-    assert names == {"frames.csv", "poses_poster.tum", "ambiguous.csv", "results", "report.html", "summary.json"}
+    hidden = {name for name in names if name.startswith(".")}
+    assert hidden == {".imgu_files.json", ".imgu_lock"}
+    assert names - hidden == {
+        "frames.csv", "poses_poster.tum", "ambiguous.csv", "results", "report.html", "summary.json",
+    }  # fmt: skip
     page = (out / "report.html").read_text()
     # Self-contained: nothing is fetched from anywhere.
     assert not re.search(r"""(src|href)\s*=\s*["'](?!data:)""", page)

@@ -127,7 +127,6 @@ def test_folder_that_is_not_empty_is_left_alone(tmp_path: Path, capsys: pytest.C
     (tmp_path / "notes.txt").write_text("mine")
     assert main([*SMALL, "--out", str(tmp_path)]) == 1
     assert "need a new or an empty one, or --overwrite" in capsys.readouterr().err
-    assert main([*SMALL, "--out", str(tmp_path), "--overwrite"]) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 

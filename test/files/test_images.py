@@ -150,7 +150,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     pixels = np.zeros((4, 4), np.uint8)
     with pytest.raises(FileError, match=r"suffix '.xyz'; need one of .png"):
         write_image(tmp_path / "a.xyz", pixels)
-    with pytest.raises(FileError, match="need a place that can be written"):
+    with pytest.raises(FileError, match="need a file that can be written"):
         write_image(tmp_path / "none" / "a.png", pixels)
     with pytest.raises(FileError, match="uint16"):
         write_image(tmp_path / "a.jpg", pixels.astype(np.uint16))

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from imgu_ros.errors import FileError
-from imgu_ros.files.text_files import open_for_writing, write_text
+from imgu_ros.files.text_files import write_text
+from imgu_ros.files.whole_files import LineFile
 
 
 def test_bytes_are_as_written(tmp_path: Path) -> None:
     write_text(tmp_path / "whole.txt", "Grüße\n")
-    with open_for_writing(tmp_path / "parts.csv") as file:
+    with LineFile(tmp_path / "parts.csv") as file:
         file.write("a\n")
         file.write("b\r\n")
     assert (tmp_path / "whole.txt").read_bytes() == b"Gr\xc3\xbc\xc3\x9fe\n"
@@ -20,6 +21,6 @@ def test_bytes_are_as_written(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("place", [".", "missing/file.txt"])
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, place: str) -> None:
-    for write in (open_for_writing, lambda path: write_text(path, "")):
+    for write in (LineFile, lambda path: write_text(path, "")):
         with pytest.raises(FileError, match="need a file that can be written"):
             write(tmp_path / place)

@@ -198,5 +198,5 @@ def test_what_cannot_be_drawn_or_written(tmp_path: Path) -> None:
         figure().line(np.array([[np.nan, 0]]), RED)
     with pytest.raises(FileError, match=r"suffix '.png'; need one of .svg, .pdf, .eps, .ps"):
         figure().save(tmp_path / "a.png")
-    with pytest.raises(FileError, match="need a place that can be written"):
+    with pytest.raises(FileError, match="need a file that can be written"):
         figure().save(tmp_path / "none" / "a.svg")
