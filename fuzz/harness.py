@@ -29,6 +29,7 @@ from imgu_ros.files.images import read_image_file
 from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.params import Parameters, TargetsParameters
+from imgu_ros.shown_text import shown
 
 #: Characters that a terminal acts upon; a line of a message is one line.
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
@@ -64,6 +65,7 @@ class Reading:
 
     raw: Messages = field(default_factory=Messages)
     said: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
     pristine: Counter[tuple[str, int]] = field(default_factory=Counter)
     decoded: Counter[tuple[str, int]] = field(default_factory=Counter)
     promised: int = 0
@@ -92,6 +94,7 @@ def fuzz_one(reader: str, path: Path, deep: bool = False) -> tuple[Verdict, Call
                 verdict.read = True
             except ImguError as error:
                 reading.said.append(str(error))
+                reading.errors.append(str(error))
             except BaseException as error:
                 if isinstance(error, KeyboardInterrupt):
                     raise
@@ -101,7 +104,10 @@ def fuzz_one(reader: str, path: Path, deep: bool = False) -> tuple[Verdict, Call
     verdict.failures += [
         f"warning: {w.category.__name__}: {w.message} ({Path(w.filename).name}:{w.lineno})" for w in ours[:3]
     ]
-    verdict.failures += [f"text: {line[:200]!r}" for line in reading.said if _CONTROL.search(line)][:3]
+    # Warnings are shown by commands and nodes through `shown`; what an error says is safe by itself.
+    errors, told = set(reading.errors), [line for line in reading.said if line not in reading.errors]
+    lines = [*errors, *map(shown, told)]
+    verdict.failures += [f"text: {line[:200]!r}" for line in lines if _CONTROL.search(line)][:3]
     verdict.failures += [f"text: a line of {len(line)} characters" for line in reading.said if len(line) > 5000][:1]
     verdict.limited = any(_LIMIT in line for line in reading.said)
     verdict.messages = reading.raw.total()

@@ -6,6 +6,8 @@ These scans share nothing with imgu_ros.bags: they walk a file from its first re
 
 from __future__ import annotations
 
+import os
+import re
 import sqlite3
 import struct
 import zlib
@@ -35,10 +37,9 @@ def scanned(path: Path) -> Messages:
     """Return the messages of a file, or of a folder's files."""
     if path.is_dir():
         return sum((scanned(file) for file in _files(path)), Messages())
-    try:
-        data = path.read_bytes()
-    except OSError:
+    if not os.path.isfile(path):
         return Messages()
+    data = path.read_bytes()
     if path.suffix == ".zstd" and data.startswith(b"\x28\xb5\x2f\xfd"):
         plain = path.parent / "plain"
         plain.write_bytes(decompressed_file(data, _MOST_BYTES))
@@ -57,7 +58,10 @@ def _files(folder: Path) -> list[Path]:
     """Return the files that metadata.yaml names; where it names none that is there, those that are."""
     present = [path for path in sorted(folder.iterdir()) if path.suffix in (".mcap", ".db3", ".zstd")]
     try:
-        text = (folder / "metadata.yaml").read_text()
+        path = folder / "metadata.yaml"
+        text = path.read_text() if path.is_file() and path.stat().st_size < 10**6 else ""
+        if re.search(r"[[{?-]{1000}", text.replace(" ", "")):
+            return present  # the parser's stack is not deep enough
         names = yaml.load(text, yaml.CBaseLoader)["rosbag2_bagfile_information"]["relative_file_paths"]
         named = [folder / str(name) for name in dict.fromkeys(names) if (folder / str(name)) in present]
     except Exception:
