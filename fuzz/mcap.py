@@ -174,12 +174,16 @@ def mcap_file(layout: Layout) -> bytes:
         at, size = len(joined(nodes)), len(chunk.data())
         nodes.append(chunk)
         if layout.indexed:
-            nodes += [
-                Node(7, struct.pack("<H", i) + string(b"".join(struct.pack("<QQ", *entry) for entry in entries)))
-                for i, entries in offsets.items()
-            ]
-            fixed = struct.pack("<QQQQ", *times, at, size) + string(b"") + struct.pack("<Q", 0)
-            summary.append(Node(8, fixed + string(layout.compression) + struct.pack("<QQ", 0, len(joined(records)))))
+            places = b""
+            start = at + size
+            for i, entries in offsets.items():
+                places += struct.pack("<HQ", i, len(joined(nodes)))
+                array = b"".join(struct.pack("<QQ", *entry) for entry in entries)
+                nodes.append(Node(7, struct.pack("<H", i) + string(array)))
+            fixed = struct.pack("<QQQQ", *times, at, size) + string(places)
+            sizes = struct.pack("<QQ", size - 9 - 40 - len(layout.compression), len(joined(records)))
+            index_size = struct.pack("<Q", len(joined(nodes)) - start)
+            summary.append(Node(8, fixed + index_size + string(layout.compression) + sizes))
     nodes.append(Node(DATA_END, struct.pack("<I", 0)))
     start = len(joined(nodes)) if layout.summary else 0
     if layout.summary:

@@ -29,11 +29,12 @@ string c
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A message of a seed: topic, type, the type's definition, time in ns, and the serialised bytes."""
+    """A message of a seed: topic, type, the type's definition and its MD5 sum, time in ns, and the serialised bytes."""
 
     topic: str
     type_name: str
     definition: str
+    digest: str
     time_ns: int
     data: bytes
 
@@ -93,8 +94,8 @@ def _make(topic: str, i: int, ros: int) -> Recorded:
         }  # fmt: skip
     message = types[type_name](**fields[topic])
     data = store.serialize_cdr(message, type_name) if ros == 2 else store.serialize_ros1(message, type_name)
-    definition = store.generate_msgdef(type_name, ros_version=ros)[0]
-    return Recorded(topic, type_name, definition, (100 + i) * 10**9 + len(topic), bytes(data))
+    definition, digest = store.generate_msgdef(type_name, ros_version=ros)
+    return Recorded(topic, type_name, definition, digest, (100 + i) * 10**9 + len(topic), bytes(data))
 
 
 _TOPICS = {

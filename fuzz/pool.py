@@ -96,6 +96,8 @@ class Pool:
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=environment,
             )  # fmt: skip
         self._done = 0
+        assert self._worker.stdout
+        self._worker.stdout.readline()
         return self._worker
 
     def _ended(self, start: float) -> Answer:

@@ -126,7 +126,7 @@ def bag(compression: bytes = b"none", per_chunk: int = 5, indexed: bool = True) 
     connections = {}
     for message in messages:
         name = message.type_name.replace("/msg/", "/")
-        inside = [(b"topic", message.topic.encode()), (b"type", name.encode()), (b"md5sum", b"0" * 32)]
+        inside = [(b"topic", message.topic.encode()), (b"type", name.encode()), (b"md5sum", message.digest.encode())]
         inside.append((b"message_definition", message.definition.encode()))
         packed = Node(inside).data()[4:-4]
         head = [(b"conn", u32(ids[message.topic])), (b"op", b"\7"), (b"topic", message.topic.encode())]
