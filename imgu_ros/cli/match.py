@@ -244,7 +244,13 @@ def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
 
     size = (pixels.shape[1], pixels.shape[0])
     path = expanded_path(camera.info_file)
-    read = read_calibration(path, rectified=camera.rectified, image_size=size, covariance=camera.covariance)
+    read = read_calibration(
+        path,
+        rectified=camera.rectified,
+        image_size=size,
+        covariance=camera.covariance,
+        limits=parameters.limits,
+    )
     return Frame(image, 0, "camera", read.camera, read.reason, read.remarks)
 
 

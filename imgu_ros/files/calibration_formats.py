@@ -20,6 +20,8 @@ import yaml
 
 from imgu_ros.codec.camera_reading import CameraDescription
 from imgu_ros.errors import FileError
+from imgu_ros.files.yaml_tree import yaml_tree
+from imgu_ros.params import LimitsParameters
 
 #: Names, in lower case and without underscores, of what a YAML says.
 _NAMES = {
@@ -36,26 +38,32 @@ _INI_KEYS = {"camera matrix": "K", "distortion": "D", "rectification": "R", "pro
 _WANTED = "need a camera_info YAML or INI file, an echoed camera_info, or what OpenCV or Kalibr write"
 #: Longer lists are no calibration.
 _MOST_NUMBERS = 64
+#: More pixels than any image has.
+_MOST_PIXELS = 2**31
+_DEFAULT_LIMITS = LimitsParameters()
 
 
-def described_camera(text: str, source: str) -> tuple[CameraDescription, str]:
+def described_camera(
+    text: str, source: str, limits: LimitsParameters = _DEFAULT_LIMITS
+) -> tuple[CameraDescription, str]:
     """Return what a calibration says of its (first) camera, and the camera's name, empty when it has none.
 
     Parameters
     ----------
     text : of the file
     source : the file, for messages
+    limits : `text_mb`
 
     Raises
     ------
     FileError
         If it is none of the formats, or a number in it is none.
     """
-    if re.search(r"^\s*\[[^\]\[,]*\]\s*$", text, re.MULTILINE) and re.search(
-        r"^\s*camera matrix\s*$", text, re.MULTILINE
+    if re.search(r"^[ \t]*\[[^\]\[,\n]*\][ \t\r]*$", text, re.MULTILINE) and re.search(
+        r"^[ \t]*camera matrix[ \t\r]*$", text, re.MULTILINE
     ):
         return _of_ini(text, source)
-    content = _yaml_content(text, source)
+    content = _yaml_content(text, source, limits)
     chain = next((value for key, value in content.items() if re.fullmatch(r"cam\d+", str(key))), None)
     if isinstance(chain, dict) and "intrinsics" in chain:
         return _of_kalibr(chain, source)
@@ -75,7 +83,11 @@ def _of_yaml(content: Mapping[str, Any], source: str) -> tuple[CameraDescription
         model = str(found["model"])
     else:
         # ROS's reader takes plumb_bob where the format has no model, or OpenCV's longer ones by their length.
-        model = "equidistant" if by_name.get("fisheyemodel") in (1, True) else _model_of_length(len(given))
+        model = (
+            "equidistant"
+            if str(by_name.get("fisheyemodel")).lower() in ("1", "true", "yes", "on")
+            else _model_of_length(len(given))
+        )
     roi = by_name.get("roi")
     window = [_whole(roi.get(key), f"roi.{key}", source) for key in _ROI] if isinstance(roi, dict) else [0, 0, 0, 0]
     binning = [max(1, _whole(by_name.get(f"binning{axis}"), f"binning_{axis}", source)) for axis in "xy"]
@@ -181,33 +193,16 @@ def _model_of_length(count: int) -> str:
     return "plumb_bob" if count <= 5 else "rational_polynomial"
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that reads values under tags that it does not know (`!!opencv-matrix`) as if they had none."""
-
-
-def _untagged(loader: yaml.SafeLoader, _: str, node: yaml.Node) -> Any:
-    if isinstance(node, yaml.MappingNode):
-        return loader.construct_mapping(node, deep=True)
-    if isinstance(node, yaml.SequenceNode):
-        return loader.construct_sequence(node, deep=True)
-    assert isinstance(node, yaml.ScalarNode)
-    return loader.construct_scalar(node)
-
-
-_Loader.add_multi_constructor("", _untagged)
-
-
-def _yaml_content(text: str, source: str) -> Mapping[str, Any]:
+def _yaml_content(text: str, source: str, limits: LimitsParameters) -> Mapping[str, Any]:
     # cv::FileStorage of before 4.x writes "%YAML:1.0", which is no directive; echoed messages end with "---".
     text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", text)
     try:
-        content = next(iter(yaml.load_all(text, _Loader)), None)
+        content = yaml_tree(text, limits)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = "" if mark is None else f" in line {mark.line + 1}"
         raise FileError(f"{source}: no YAML{where} ({error.problem}); {_WANTED}") from None
-    # PyYAML raises others for a value that is not what its tag says: `!!int ""`.
-    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise FileError(f"{source}: {' '.join(str(error).split())[:200]}; {_WANTED}") from None
     if not isinstance(content, dict):
         held = {str: "plain text or XML", type(None): "nothing"}.get(type(content), type(content).__name__)
@@ -230,9 +225,7 @@ def _numbers(entry: Any, name: str, source: str, most: int = _MOST_NUMBERS) -> t
 
 
 def _number(value: Any) -> float:
-    """Return a number also as YAML 1.2 and C++ write it (`1e-05`, `.Nan`), which PyYAML takes for text."""
-    if isinstance(value, bool):
-        raise TypeError("no number")
+    """Return a number as YAML and C++ write it (`1e-05`, `.Nan`)."""
     if isinstance(value, str) and value.lower().lstrip("+-") in (".nan", ".inf"):
         value = value.replace(".", "")
     return float(value)
@@ -246,6 +239,6 @@ def _whole(value: Any, name: str, source: str) -> int:
         number = _number(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
-    if not (math.isfinite(number) and number == int(number) and number >= 0):
-        raise FileError(f"{source}: {name}: {value!r}; need a whole number of pixels")
+    if not (math.isfinite(number) and 0 <= number < _MOST_PIXELS and number == int(number)):
+        raise FileError(f"{source}: {name}: {str(value)[:80]!r}; need a whole number of pixels")
     return int(number)

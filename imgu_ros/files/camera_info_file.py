@@ -14,10 +14,11 @@ from imgu_ros.errors import FileError
 from imgu_ros.files.calibration_formats import described_camera
 from imgu_ros.files.reading import file_bytes
 from imgu_ros.files.text_files import write_text
+from imgu_ros.params import LimitsParameters
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.intrinsics import Camera
 
-_MAX_BYTES = 2**20
+_DEFAULT_LIMITS = LimitsParameters()
 
 
 def read_camera_info(path: Path | str, *, rectified: bool = False) -> Camera:
@@ -45,6 +46,7 @@ def read_calibration(
     rectified: bool = False,
     image_size: tuple[int, int] | None = None,
     covariance: tuple[float, ...] = (),
+    limits: LimitsParameters = _DEFAULT_LIMITS,
 ) -> CameraReading:
     """Read a calibration file as a camera_info message is read: what cannot be used is the reading's reason.
 
@@ -53,23 +55,25 @@ def read_calibration(
     path, rectified : see `read_camera_info`
     image_size : width, height of the image that it is for, px; None: the calibration's own
     covariance : used instead of the file's, see `read_camera`; empty: the file's
+    limits : `text_mb`
 
     Raises
     ------
     FileError
         If the file is missing or none of the formats.
     """
-    return read_camera(read_description(path), rectified=rectified, image_size=image_size, covariance=covariance)
+    description = read_description(path, limits)
+    return read_camera(description, rectified=rectified, image_size=image_size, covariance=covariance)
 
 
-def read_description(path: Path | str) -> CameraDescription:
-    """Return what a calibration file says; FileError as `read_calibration`."""
-    return described_camera(_text(Path(path)), str(path))[0]
+def read_description(path: Path | str, limits: LimitsParameters = _DEFAULT_LIMITS) -> CameraDescription:
+    """Return what a calibration file says; FileError as `read_calibration`, or if `limits.text_mb` are exceeded."""
+    return described_camera(_text(Path(path), limits), str(path), limits)[0]
 
 
 def read_camera_name(path: Path | str) -> str:
     """Return the camera's name in a calibration file; empty when it has none. FileError as `read_calibration`."""
-    return described_camera(_text(Path(path)), str(path))[1]
+    return described_camera(_text(Path(path), _DEFAULT_LIMITS), str(path))[1]
 
 
 def write_camera_info(path: Path | str, camera: Camera, name: str = "camera") -> None:
@@ -105,8 +109,9 @@ def camera_info_text(camera: Camera, name: str = "camera") -> str:
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
 
 
-def _text(path: Path) -> str:
-    content = file_bytes(path, "a calibration file", _MAX_BYTES)
+def _text(path: Path, limits: LimitsParameters) -> str:
+    need = f"a calibration file of at most {limits.text_mb} MB (limits.text_mb)"
+    content = file_bytes(path, need, 1_000_000 * limits.text_mb)
     try:
         return content.decode()
     except UnicodeDecodeError:

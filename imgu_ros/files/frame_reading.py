@@ -13,7 +13,7 @@ from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.camera_info_file import read_description
 from imgu_ros.files.target_images import expanded_path
 from imgu_ros.nearest_name import nearest_name
-from imgu_ros.params import Parameters
+from imgu_ros.params import LimitsParameters, Parameters
 from imgu_ros.perception.frame import Frame
 
 
@@ -81,7 +81,7 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
     if before is not None and before.file_camera is not None and before.info_file == wanted.info_file:
         description = before.file_camera
     else:
-        description = _described(wanted.info_file)
+        description = _described(wanted.info_file, parameters.limits)
     alone = read_camera(description, rectified=wanted.rectified, image_size=None, covariance=wanted.covariance)
     if alone.camera is None:
         raise FileError(f"camera.info_file: {alone.reason}")
@@ -113,8 +113,8 @@ def check_encoding(name: str) -> None:
         )
 
 
-def _described(info_file: str) -> CameraDescription:
+def _described(info_file: str, limits: LimitsParameters) -> CameraDescription:
     try:
-        return read_description(expanded_path(info_file))
+        return read_description(expanded_path(info_file), limits)
     except FileError as error:
         raise FileError(f"camera.info_file: {error}") from None

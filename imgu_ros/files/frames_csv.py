@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import FileError
+from imgu_ros.files.reading import file_lines
 from imgu_ros.files.text_files import csv_line, csv_writer
 from imgu_ros.files.whole_files import LineFile
 from imgu_ros.perception.result import Result, Stage, TargetResult
@@ -67,15 +68,16 @@ def read_rows(path: Path) -> Iterator[dict[str, str]]:
         If the file cannot be read or its columns are not those of `COLUMNS`.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != COLUMNS:
-                raise FileError(f"{path}: columns {list(reader.fieldnames or ())[:4]}...; need those of frames.csv")
-            for row in reader:
-                for column in TEXT_COLUMNS:
-                    row[column] = cell_text(row[column] or "")
-                yield row
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(file_lines(path, "a frames.csv"))
+        if tuple(reader.fieldnames or ()) != COLUMNS:
+            raise FileError(f"{path}: columns {list(reader.fieldnames or ())[:4]}...; need those of frames.csv")
+        for row in reader:
+            if None in row or None in row.values():
+                raise FileError(f"{path}:{reader.line_num}: not a cell for each column; need a frames.csv")
+            for column in TEXT_COLUMNS:
+                row[column] = cell_text(row[column])
+            yield row
+    except csv.Error as error:
         raise FileError(f"{path}: {error}; need a frames.csv") from None
 
 

@@ -11,9 +11,8 @@ from imgu_ros.errors import ParameterError
 from imgu_ros.files.rcl_parameters import SECTION, RclParameters, section_applies, with_slash
 from imgu_ros.files.reading import file_bytes
 from imgu_ros.parameter_values import checked_value, is_empty_group, value_or_empty
-from imgu_ros.params import Declaration, declarations
+from imgu_ros.params import Declaration, LimitsParameters, declarations
 
-_MAX_BYTES = 2**22
 #: Parameters that every ROS 2 node has by itself; without ROS they mean nothing.
 _OF_EVERY_NODE = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
 
@@ -115,7 +114,8 @@ class GivenParameters:
 
 def parameter_file_bytes(path: Path | str) -> bytes:
     """Return a parameter file's content; FileError if it cannot be read or is too large to be one."""
-    return file_bytes(Path(path), "a parameter file", _MAX_BYTES)
+    most = LimitsParameters().text_mb
+    return file_bytes(Path(path), f"a parameter file of at most {most} MB", 1_000_000 * most)
 
 
 def parameter_file_text(values: Mapping[str, object] | None = None, names: Collection[str] | None = None) -> str:

@@ -23,6 +23,8 @@ SECTION = "ros__parameters"
 
 #: The section that overrides of the command line belong to.
 _COMMAND_LINE = "/**"
+#: Of one section, and characters of a name with its groups: far more than a node has.
+_MOST_PARAMETERS, _LONGEST_NAME = 5000, 1000
 _NODE_NAME = re.compile(r"/?((\*\*?|[A-Za-z_][A-Za-z0-9_]*)/)*(\*\*?|[A-Za-z_][A-Za-z0-9_]*)")
 #: In the order in which rclpy takes a parameter's value from what rcl has stored under its name.
 _TYPES = ("bool", "int", "float", "str", "list of bool", "list of int", "list of float", "list of str")
@@ -109,6 +111,8 @@ class RclParameters:
         for entry in entries:
             if entry.name == name:
                 return entry
+        if len(entries) >= _MOST_PARAMETERS:
+            raise ParameterError(f"{source}: more than {_MOST_PARAMETERS} parameters in {section[:80]!r}; need less")
         entries.append(_Entry(name, source=source))
         return entries[-1]
 
@@ -194,6 +198,7 @@ class _Machine:
         if self._in_section:
             self._parameter_key(name)
         elif not name.startswith(SECTION):
+            self._check_length(self._names, name)
             self._names.push(name)
         else:
             self._open_section()
@@ -216,12 +221,18 @@ class _Machine:
                 raise self._error("a group without a name", "NAME: VALUE")
             self._groups.set(self._entry.name, self._groups.count + 1)
             self._is_new_map = False
+        self._check_length(self._groups, name)
         if not self._groups.count:
             self._entry = self._owner.entry(self._section, name, self._source)
         else:
             # The entry that stood for the group becomes its first parameter.
             self._entry = self._owner.entry(self._section, self._groups.text, self._source)
             self._entry.name = f"{self._groups.text}.{name}"
+
+    def _check_length(self, groups: _Path, name: str) -> None:
+        if len(groups.text) + len(name) > _LONGEST_NAME:
+            length = len(groups.text) + len(name)
+            raise self._error(f"a name of {length} characters with its groups", f"at most {_LONGEST_NAME}")
 
     def _value(self, event: yaml.ScalarEvent) -> None:
         if not self._in_section or self._entry is None:

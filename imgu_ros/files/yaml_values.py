@@ -22,6 +22,8 @@ from imgu_ros.errors import ParameterError
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
+#: Longer texts are no numbers: to convert them takes time that grows with the square of their length.
+_LONGEST_NUMBER = 1000
 _STRING_TAG = "tag:yaml.org,2002:str"
 #: What C's isspace accepts: strtoll and strtod skip it before a number.
 _SPACE = " \t\n\v\f\r"
@@ -42,6 +44,8 @@ def scalar_value(event: yaml.ScalarEvent) -> bool | int | float | str:
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     number = text.lstrip(_SPACE)
+    if len(number) > _LONGEST_NUMBER:
+        return text
     value: int | float | None = _integer(number)
     if value is None:
         value = _double(number)

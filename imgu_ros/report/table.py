@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, H_COLUMNS, Q_COLUMNS, T_COLUMNS, TIME_COLUMNS, read_rows
 from imgu_ros.perception.result import PoseStatus, Stage, Status
 from imgu_ros.report.accuracy import RowErrors, TruthComparison, camera_position
@@ -112,12 +113,15 @@ def read_frame_table(path: Path, comparison: TruthComparison | None = None) -> F
     integers: dict[str, array[int]] = {name: array("q") for name in ("stamp", "target", "status", "pose_status")}
     scalars, errors = array("d"), array("d")
     names: dict[str, int] = {}
-    for row in read_rows(path):
-        integers["stamp"].append(int(row["stamp_ns"]))
+    for number, row in enumerate(read_rows(path), 1):
+        try:
+            integers["stamp"].append(int(row["stamp_ns"]))
+            integers["status"].append(statuses[row["status"]])
+            integers["pose_status"].append(pose_statuses[row["pose_status"]])
+            scalars.extend(_scalars(row))
+        except (KeyError, ValueError, OverflowError) as error:
+            raise FileError(f"{path}: row {number}: {str(error)[:80]}; need what a replay writes") from None
         integers["target"].append(names.setdefault(row["target"], len(names)))
-        integers["status"].append(statuses[row["status"]])
-        integers["pose_status"].append(pose_statuses[row["pose_status"]])
-        scalars.extend(_scalars(row))
         if comparison is not None:
             errors.extend(_error_scalars(comparison, row))
     return _table(integers, scalars, errors if comparison is not None else None, tuple(names))
