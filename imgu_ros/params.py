@@ -389,7 +389,7 @@ class LimitsParameters:
     )
     expansion: int = parameter(
         1000,
-        "Bytes that a compressed byte may become, beyond the first 64 MB of a bag's file.",
+        "Bytes that a compressed byte may become, beyond the first 1000 MB of a bag's file.",
         minimum=1,
         maximum=1_000_000,
     )

@@ -8,9 +8,16 @@ from pathlib import Path
 
 from imgu_ros.errors import BagError
 
+#: Small records that follow one another are read in blocks of this size.
+_BLOCK_BYTES = 2**12
+
 
 class ByteFile:
     """An open file of known size; reading needs no current position, so that several readers can share it.
+
+    Attributes
+    ----------
+    size : bytes when it was opened; of a file that was cut since and read beyond its new end, what it has now
 
     Raises
     ------
@@ -20,11 +27,14 @@ class ByteFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._block, self._block_start, self._last_head = b"", 0, 0
         try:
             self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe must not block
             self.size = os.fstat(self._descriptor).st_size
         except OSError as error:
             raise BagError(f"{path}: {error.strerror}; need a readable file") from None
+        except ValueError as error:  # a path with a zero byte
+            raise BagError(f"{str(path)!r}: {error}; need a readable file") from None
 
     def read(self, offset: int, size: int) -> bytes:
         """Return `size` bytes from `offset` on.
@@ -41,11 +51,26 @@ class ByteFile:
             while len(data) < size:  # the kernel gives at most 2 GiB at once, or the file has shrunk
                 more = os.pread(self._descriptor, size - len(data), offset + len(data))
                 if not more:
-                    raise BagError(f"{self.path}: ends at byte {offset + len(data)}; it had {self.size} bytes")
+                    had, self.size = self.size, offset + len(data)
+                    raise BagError(f"{self.path}: ends at byte {self.size}; it had {had} bytes")
                 data += more
             return data
         except OSError as error:
             raise BagError(f"{self.path}: byte {offset}: {error.strerror}") from None
+
+    def head(self, offset: int, size: int) -> bytes:
+        """Return `size` bytes from `offset` on, fewer at the file's end; for one thread, which goes forward."""
+        size = max(0, min(size, self.size - offset))
+        at = offset - self._block_start
+        if at >= 0 and at + size <= len(self._block):
+            self._last_head = offset
+            return self._block[at : at + size]
+        is_near = 0 <= offset - self._last_head < _BLOCK_BYTES // 8
+        self._last_head = offset
+        if not is_near:  # a block for each large chunk would cost more than it saves
+            return self.read(offset, size)
+        self._block, self._block_start = self.read(offset, min(_BLOCK_BYTES, self.size - offset)), offset
+        return self._block[:size]
 
     def close(self) -> None:
         """Close the file; closing twice does nothing."""

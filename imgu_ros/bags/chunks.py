@@ -1,9 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What bag files made of chunks (MCAP, ROS 1) share: records, and the index that a walk over them gives."""
+"""What bag files made of chunks (MCAP, ROS 1) share: records, and what a walk over a file found."""
 
 from __future__ import annotations
 
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from operator import le
+from typing import Protocol
+
+import numpy as np
+
+from imgu_ros.bags.byte_file import ByteFile
+from imgu_ros.bags.storage import MAX_TIME_NS
+from imgu_ros.bags.stretches import Stretch, StretchTable
+from imgu_ros.params import LimitsParameters
+
+#: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
+_VIEWED_BYTES = 2**16
+_MOST_TEXT = 2**26
+#: Numbers that are compared faster one by one than as an array.
+_FEW = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,44 +44,83 @@ class ChannelRecord:
     encoding: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageRecord:
-    """A message: its channel's id, the time of recording in ns, serialised bytes."""
+@dataclass(slots=True, eq=False)
+class Definitions:
+    """Definitions by their ids; of two with the same id, the first counts.
 
-    channel_id: int
-    time_ns: int
-    data: bytes | memoryview
+    They are kept: beyond `_MOST_TEXT` bytes of all together, they are not taken.
+    """
 
+    schemas: dict[int, SchemaRecord] = field(default_factory=dict)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    size: int = 0
 
-Record = SchemaRecord | ChannelRecord | MessageRecord
+    def define(self, record: SchemaRecord | ChannelRecord) -> None:
+        """Take a definition."""
+        if isinstance(record, SchemaRecord):
+            if record.id not in self.schemas and self._fits(len(record.name) + len(record.text)):
+                self.schemas[record.id] = record
+        elif record.id not in self.channels and self._fits(len(record.topic)):
+            self.channels[record.id] = record
+
+    def _fits(self, size: int) -> bool:
+        if self.size + size > _MOST_TEXT:
+            return False
+        self.size += size
+        return True
+
+    def take(self, other: Definitions) -> None:
+        """Take what another one defines and this one does not."""
+        for schema in other.schemas.values():
+            self.define(schema)
+        for channel in other.channels.values():
+            self.define(channel)
 
 
 @dataclass(slots=True, eq=False)
-class Stretch:
-    """A chunk, or some messages outside of chunks.
+class Contents:
+    """What the decompressed data of a chunk hold: places of messages, not the messages, which may be millions.
 
     Attributes
     ----------
-    offset : of its first record's first byte in the file
-    data_offset, data_size : of its records in the file, compressed as they are
-    compression : "", "zstd", "lz4", "bz2"
-    size : of its records, decompressed
-    crc : CRC-32 of the decompressed records; 0: not known
-    start_ns, end_ns : times of its first and last message
-    counts : messages by channel id
-    is_counted : `counts` is complete; otherwise the data must be read to know
+    channels, times, begins, ends : of each message, in the order of the data: channel id, ns, place of its bytes
+    definitions : those among the records
+    damage : why reading broke off; empty when it did not
+    size : bytes that were read until then
     """
 
-    offset: int
-    data_offset: int
-    data_size: int
-    compression: str
-    size: int
-    crc: int
-    start_ns: int
-    end_ns: int
-    counts: dict[int, int] = field(default_factory=dict)
-    is_counted: bool = False
+    channels: array[int] = field(default_factory=lambda: array("I"))
+    times: array[int] = field(default_factory=lambda: array("q"))
+    begins: array[int] = field(default_factory=lambda: array("Q"))
+    ends: array[int] = field(default_factory=lambda: array("Q"))
+    definitions: Definitions = field(default_factory=Definitions)
+    damage: str = ""
+    size: int = 0
+
+    def add(self, channel: int, time_ns: int, begin: int, end: int) -> None:
+        """Note a message; a time that ROS cannot hold becomes the last one that it can."""
+        self.channels.append(channel)
+        self.times.append(min(time_ns, MAX_TIME_NS))
+        self.begins.append(begin)
+        self.ends.append(end)
+
+    def counts(self) -> dict[int, int]:
+        """Return the messages by channel id."""
+        return dict(Counter(self.channels))
+
+    def in_order(self) -> Iterable[int]:
+        """Return the messages' indices in the order of their times; equal times in the order of the data."""
+        if len(self.times) < _FEW and all(map(le, self.times, self.times[1:])):
+            return range(len(self.times))
+        times = np.frombuffer(self.times, np.int64)
+        if (times[1:] >= times[:-1]).all():
+            return range(len(times))
+        return map(int, np.argsort(times, kind="stable"))
+
+    def bytes_of(self, index: int, data: memoryview) -> bytes | memoryview:
+        """Return a message's bytes; a copy, so that a small message does not keep the whole chunk in memory."""
+        content = data[self.begins[index] : self.ends[index]]
+        return content if len(content) > _VIEWED_BYTES and 4 * len(content) > len(data) else bytes(content)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,27 +131,73 @@ class Gap:
     end: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Promise:
+    """What the file itself says of its contents, behind its data; -1: not said.
+
+    Attributes
+    ----------
+    source : where it says so
+    messages, chunks, listed_chunks : how many in all; listed one by one
+    counts : messages by channel id; empty: not said
+    start_ns, end_ns : times of the first and the last message
+    """
+
+    source: str
+    messages: int = -1
+    chunks: int = -1
+    listed_chunks: int = -1
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int = -1
+    end_ns: int = -1
+
+
 @dataclass(slots=True, eq=False)
 class ChunkIndex:
-    """What the walk over a file's records found.
+    """What the walk over the records of a file, or of one of several that follow one another in it, found.
 
     Attributes
     ----------
     stretches : in the order of the file
-    schemas, channels : by id, those outside of chunks
+    definitions : those outside of chunks that the data need no confirming of
+    summary : those behind the data, which the data may contradict
+    promise : what the file says of itself
     gaps : bytes that could not be understood
+    remarks : what else is to be said, a line each
     is_complete : the file's proper end was found
+    chunks : how many there are, those without messages too
+    is_doubtful : what it says of itself contradicts itself, so that its data must be read to know
     """
 
-    stretches: list[Stretch] = field(default_factory=list)
-    schemas: dict[int, SchemaRecord] = field(default_factory=dict)
-    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    stretches: StretchTable = field(default_factory=StretchTable)
+    definitions: Definitions = field(default_factory=Definitions)
+    summary: Definitions = field(default_factory=Definitions)
+    promise: Promise | None = None
     gaps: list[Gap] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     is_complete: bool = False
+    chunks: int = 0
+    is_doubtful: bool = False
 
-    def define(self, record: SchemaRecord | ChannelRecord) -> None:
-        """Take a definition; of two with the same id, the first counts."""
-        if isinstance(record, SchemaRecord):
-            self.schemas.setdefault(record.id, record)
-        else:
-            self.channels.setdefault(record.id, record)
+
+class Search(Protocol):
+    """Finds the chunks in a part of a file, where a chunk was taken for one that is none, or is damaged."""
+
+    def __call__(self, file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
+        """Yield the whole chunks between two places."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChunkFormat:
+    """What is particular of a format.
+
+    Attributes
+    ----------
+    index : walks over a file
+    contents : parses the decompressed data of a chunk, whatever they are
+    search : finds chunks
+    """
+
+    index: Callable[[ByteFile, LimitsParameters], list[ChunkIndex]]
+    contents: Callable[[memoryview, LimitsParameters], Contents]
+    search: Search

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression that trusts no length: zstd, lz4 and bz2, of chunks, messages and whole files."""
+"""Decompression that trusts no length, in bounded steps: zstd, lz4 and bz2, of chunks, messages and whole files."""
 
 from __future__ import annotations
 
 import bz2
+import shutil
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
 
 from imgu_ros.bags.storage import DEFAULT_LIMITS
 from imgu_ros.errors import BagError
@@ -20,14 +24,42 @@ else:
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BLOCK = 2**20
+#: Of each new zstd frame: many small ones in a block would otherwise have its rest copied for each.
+_FIRST_FEED = 2**12
+#: Up to this size data are decompressed in one call, which has them twice in memory for a moment.
+_AT_ONCE = 2**24
+#: zstd's own default for streams: 128 MB.
+_ZSTD_OPTIONS: dict[int, int] = {zstd.DecompressionParameter.window_log_max: 27}
+#: Bytes of a bag's file that may come of any few: black pictures become less than a thousandth.
+FREE_EXPANSION = 1_000_000_000
+#: Of the disk that temporary copies are on, this stays free; of a small one, a tenth.
+_RESERVE = 500_000_000
+_CHECK_DISK_EVERY = 64_000_000
 
 
-def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters = DEFAULT_LIMITS) -> bytes:
+class Expansion:
+    """Watches how many bytes compressed ones become, in one file: beyond `FREE_EXPANSION`, `limits.expansion` each."""
+
+    def __init__(self, limits: LimitsParameters) -> None:
+        self._factor = limits.expansion
+        self._left = FREE_EXPANSION
+
+    def take(self, packed: int, size: int) -> None:
+        """Count `size` bytes that come of `packed` ones; BagError, and they do not count, when they are too many."""
+        excess = size - self._factor * packed
+        if excess > self._left:
+            raise BagError(
+                f"{packed} bytes become {size}; need at most {self._factor} times as many (limits.expansion)"
+            )
+        self._left -= max(0, excess)
+
+
+def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters = DEFAULT_LIMITS) -> memoryview:
     """Return exactly `size` bytes from compressed `data`.
 
     Parameters
     ----------
-    data : one compressed frame
+    data : compressed frames
     method : "", "zstd", "lz4" or "bz2"
     size : the announced size
     limits : `message_mb` bounds the size
@@ -38,36 +70,41 @@ def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters =
         If the method is unknown, the data are damaged, or the size differs.
     """
     check_message_size(size, limits)
-    if method == "":
-        result = data
-    elif method == "zstd":
-        result = _decompressed_zstd(data, size)
-    elif method == "lz4":
-        result = _decompressed_lz4(data, size)
-    elif method == "bz2":
-        result = _decompressed_bz2(data, size)
-    else:
-        raise BagError(f"compression {method!r}; need none, zstd, lz4 or bz2")
+    result = memoryview(data) if method == "" else _unpacked(data, method, size, limits)
     if len(result) != size:
         raise BagError(f"{len(result)} bytes decompressed; need {size}")
     return result
 
 
-def decompressed_message(data: bytes | memoryview, limits: LimitsParameters = DEFAULT_LIMITS) -> bytes | memoryview:
+def decompressed_message(
+    data: bytes | memoryview, limits: LimitsParameters = DEFAULT_LIMITS, expansion: Expansion | None = None
+) -> bytes | memoryview:
     """Return a message's bytes, decompressed when rosbag2 compressed it by itself.
 
     Serialised messages begin with 0 (CDR), never with zstd's magic, so that no metadata is needed to tell.
 
+    Parameters
+    ----------
+    data : as recorded
+    limits : `message_mb` bounds the size
+    expansion : counts what the messages of a bag become
+
     Raises
     ------
     BagError
-        If the compressed data are damaged or larger than any sane message.
+        If the compressed data are damaged or larger than the limit.
     """
     if data[: len(ZSTD_MAGIC)] != ZSTD_MAGIC:
         return data
-    result = _decompressed_zstd(data, 1_000_000 * limits.message_mb)
-    check_message_size(len(result), limits)
-    return result
+    pieces: list[bytes] = []
+    size = 0
+    for piece in _pieces(data, "zstd", 1_000_000 * limits.message_mb + 1):
+        size += len(piece)
+        check_message_size(size, limits)
+        pieces.append(piece)
+    if expansion is not None:
+        expansion.take(len(data), size)
+    return pieces[0] if len(pieces) == 1 else _joined(pieces, size)
 
 
 def check_message_size(size: int, limits: LimitsParameters) -> None:
@@ -79,59 +116,135 @@ def check_message_size(size: int, limits: LimitsParameters) -> None:
         If `size`, in bytes, is more.
     """
     if size > 1_000_000 * limits.message_mb:
-        raise BagError(f"{size / 1e6:.1f} MB or more; need at most {limits.message_mb} (limits.message_mb)")
+        raise BagError(f"{size / 1e6:.0f} MB or more; need at most {limits.message_mb} (limits.message_mb)")
 
 
-def decompress_file(source: Path, target: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> str:
-    """Decompress a zstd file as far as it goes; return what was wrong, empty when nothing was.
+class TemporarySpace:
+    """What temporary copies of a bag's compressed files may take, together."""
+
+    def __init__(self, limits: LimitsParameters) -> None:
+        self._limits = limits
+        self._left = 1_000_000 * limits.temporary_mb
+        self._unchecked = 0
+
+    def take(self, size: int, folder: Path) -> str:
+        """Count bytes that are about to be written; return why they may not, empty when they may."""
+        if size > self._left:
+            return f"need at most {self._limits.temporary_mb} MB of temporary copies (limits.temporary_mb)"
+        if self._unchecked < size:
+            disk = shutil.disk_usage(folder)
+            self._unchecked = min(_CHECK_DISK_EVERY, disk.free - min(_RESERVE, disk.total // 10))
+            if self._unchecked < size:
+                return f"the disk of {folder.parent} has {disk.free // 1_000_000} MB left; need more"
+        self._left -= size
+        self._unchecked -= size
+        return ""
+
+
+def decompress_file(source: Path, target: Path, limits: LimitsParameters, space: TemporarySpace) -> str:
+    """Decompress a zstd file as far as it goes, and as its limits allow; return what was wrong, or empty.
 
     Raises
     ------
     BagError
-        If the target cannot be written.
+        If the source cannot be read, or the target not be made.
     """
+    size = 0
     try:
         with source.open("rb") as packed, target.open("wb") as plain:
-            decompressor = zstd.ZstdDecompressor()
-            while block := packed.read(_BLOCK):
-                while block:
-                    if decompressor.eof:
-                        decompressor = zstd.ZstdDecompressor()
-                    plain.write(decompressor.decompress(block))
-                    block = decompressor.unused_data if decompressor.eof else b""
-            return "" if decompressor.eof else "the compressed file is cut short"
-    except zstd.ZstdError as error:
-        return f"the compressed file is damaged ({error})"
+            blocks = iter(lambda: packed.read(_BLOCK), b"")
+            for piece in _zstd_pieces(blocks, _BLOCK):
+                reason = ""
+                if size + len(piece) > FREE_EXPANSION + limits.expansion * packed.tell():
+                    reason = f"need at most {limits.expansion} times as many bytes (limits.expansion)"
+                reason = reason or space.take(len(piece), target.parent)
+                if reason:
+                    return f"only its first {size / 1e6:.0f} MB are decompressed: {reason}"
+                plain.write(piece)
+                size += len(piece)
+        return ""
+    except BagError as error:
+        return f"the compressed file is {error}"
     except OSError as error:
+        if size:
+            return f"only its first {size / 1e6:.0f} MB are decompressed: {error.strerror}"
         raise BagError(f"{source}: cannot decompress to {target.parent}: {error.strerror}") from None
 
 
-def _decompressed_zstd(data: bytes | memoryview, limit: int) -> bytes:
-    decompressor = zstd.ZstdDecompressor()
-    try:
-        result = decompressor.decompress(data, max_length=limit + 1)
-    except zstd.ZstdError as error:
-        raise BagError(f"zstd data are damaged ({error})") from None
-    except MemoryError:
-        raise BagError("zstd data need more memory than there is") from None
-    if not decompressor.eof and len(result) <= limit:
-        raise BagError("zstd data are cut short")
-    return result
-
-
-def _decompressed_lz4(data: bytes, size: int) -> bytes:
-    if size > 255 * len(data) + 64:  # no lz4 data expand more
+def _unpacked(data: bytes, method: str, size: int, limits: LimitsParameters) -> memoryview:
+    if method == "lz4" and size > 255 * len(data) + 64:  # no lz4 data expand more
         raise BagError(f"announces {size} bytes from {len(data)} compressed ones; lz4 cannot")
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    try:
-        result: bytes = decompressor.decompress(data, max_length=size + 1)
-    except (RuntimeError, MemoryError) as error:
-        raise BagError(f"lz4 data are damaged ({error})") from None
-    return result
+    pieces = _pieces(data, method, size + 1)
+    if size < _AT_ONCE:
+        first = next(pieces, b"")
+        return memoryview(first if len(first) == size else b"".join([first, *_bounded(pieces, size - len(first))]))
+    return _joined(_bounded(pieces, size), size)
 
 
-def _decompressed_bz2(data: bytes, size: int) -> bytes:
+def _joined(pieces: Iterable[bytes], size: int) -> memoryview:
+    """Return pieces of at most `size` bytes together as one; memory that no piece fills is not touched."""
+    joined = np.empty(size, np.uint8)
+    at = 0
+    for piece in pieces:
+        joined[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
+        at += len(piece)
+    return memoryview(joined)[:at]
+
+
+def _bounded(pieces: Iterator[bytes], size: int) -> Iterator[bytes]:
+    for piece in pieces:
+        size -= len(piece)
+        if size < 0:
+            raise BagError("more bytes than announced")
+        yield piece
+
+
+def _pieces(data: bytes | memoryview, method: str, most: int) -> Iterator[bytes]:
+    """Decompress in pieces; the first is all of it when that is little. BagError when the data are damaged."""
+    step = min(most, _AT_ONCE)
+    if method == "zstd":
+        try:
+            yield from _zstd_pieces(iter([data]), step, len(data))
+        except BagError as error:
+            raise BagError(f"zstd data are {error}") from None
+        return
+    if method not in ("lz4", "bz2"):
+        raise BagError(f"compression {method!r}; need none, zstd, lz4 or bz2")
+    decompressor: Any = lz4.frame.LZ4FrameDecompressor() if method == "lz4" else bz2.BZ2Decompressor()
+    feed: bytes | memoryview = data
     try:
-        return bz2.BZ2Decompressor().decompress(data, max_length=size + 1)
-    except (OSError, EOFError, MemoryError) as error:
-        raise BagError(f"bz2 data are damaged ({error})") from None
+        while not decompressor.eof:
+            piece = decompressor.decompress(feed, max_length=step)
+            feed = b""
+            yield piece
+            if not piece and decompressor.needs_input:
+                return
+    except (RuntimeError, OSError, EOFError, ValueError, MemoryError) as error:
+        raise BagError(f"{method} data are damaged ({error})") from None
+
+
+def _zstd_pieces(
+    blocks: Iterator[bytes] | Iterator[bytes | memoryview], step: int, first_feed: int = _FIRST_FEED
+) -> Iterator[bytes]:
+    """Decompress one zstd frame after the other, in pieces of at most `step` bytes."""
+    decompressor = None
+    feed = first_feed
+    try:
+        for block in blocks:
+            view = memoryview(block)
+            at = 0
+            while at < len(view):
+                if decompressor is None or decompressor.eof:
+                    feed = first_feed if decompressor is None else _FIRST_FEED
+                    decompressor = zstd.ZstdDecompressor(options=_ZSTD_OPTIONS)
+                part = view[at : at + feed]
+                at += len(part)
+                feed = min(2 * feed, max(_BLOCK, first_feed))
+                yield decompressor.decompress(part, step)
+                while not (decompressor.eof or decompressor.needs_input):
+                    yield decompressor.decompress(b"", step)
+                at -= len(decompressor.unused_data) if decompressor.eof else 0
+    except (zstd.ZstdError, MemoryError) as error:
+        raise BagError(f"damaged ({error})") from None
+    if decompressor is None or not decompressor.eof:
+        raise BagError("cut short")

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from imgu_ros.bags.compression import decompressed_message
 from imgu_ros.bags.definitions import MessageReader, defined_types
 from imgu_ros.bags.messages import make_message, message_layout, typestore
 from imgu_ros.bags.storage import DEFAULT_LIMITS, Channel, RawMessage, Serialization
@@ -51,7 +50,7 @@ class MessageDecoder:
         store = self._store(channel)
         if isinstance(store, BagError):
             raise store
-        data = decompressed_message(raw.data, self._limits)
+        data = raw.data
         if channel.serialization != Serialization.ROS1:
             return message_from_cdr(channel.type_name, data, store)
         with _as_bag_errors(channel.type_name):
@@ -68,10 +67,10 @@ class MessageDecoder:
         """
         channel = raw.channel
         if channel.serialization == Serialization.CDR and self.type_error(channel):
-            return bytes(decompressed_message(raw.data, self._limits))  # a type that the receiver may know
+            return bytes(raw.data)  # a type that the receiver may know
         message = self.decoded(raw)
         if channel.serialization == Serialization.CDR:
-            return bytes(decompressed_message(raw.data, self._limits))
+            return bytes(raw.data)
         try:
             return bytes(typestore().serialize_cdr(message, channel.type_name))
         except Exception as error:  # a type or a field that ROS 2 does not have, or has otherwise

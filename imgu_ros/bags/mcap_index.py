@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find what a whole or damaged MCAP file holds, by walking its records from the first to the last.
 
-The file's own summary is not trusted and not needed: the walk reads some bytes of every record, and jumps over the
-data. Where the chain of records breaks, the next chunk or message that is consistent in itself is sought.
+The file's own summary is not needed: the walk reads some bytes of every record, and jumps over the data. Where the
+chain of records breaks, the next record that is consistent in itself is sought, from the last place on that is sure: a
+wrong length may have led beyond whole chunks. Files that follow one another in one are walked one after the other.
 """
 
 from __future__ import annotations
 
-import re
+import struct
+import zlib
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChunkIndex, Gap, Stretch
+from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap
 from imgu_ros.bags.mcap_format import (
+    COMPRESSIONS,
     HEAD_BYTES,
     MAGIC,
     PREFIX,
@@ -19,24 +22,41 @@ from imgu_ros.bags.mcap_format import (
     Opcode,
     chunk_header,
     definition_record,
-    indexed_count,
-    message_time,
+    index_head,
+    mcap_contents,
+    message_head,
+    statistics,
 )
-from imgu_ros.bags.storage import MAX_BYTES
+from imgu_ros.bags.mcap_search import (
+    LAST_KNOWN_OPCODE,
+    candidates,
+    chunk_at,
+    chunk_candidates,
+    is_followed,
+    is_record,
+    mcap_chunks,
+    prefix,
+)
+from imgu_ros.bags.stretches import Stretch
 from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
 
 #: Messages outside of chunks are read in stretches of about this size.
 _STRETCH_BYTES = 2**22
-_SEARCH_BYTES = 2**20
-# A chunk (6) or message (5) whose length is below 2^40.
-_CANDIDATE = re.compile(rb"[\x05\x06].{5}\0\0\0", re.DOTALL)
-_HOUR_NS = 3600 * 10**9
-_LAST_KNOWN_OPCODE = 0x0F
+_BLOCK_BYTES = 2**20
+#: Enough for the counts of every channel that there can be.
+_STATISTICS_BYTES = 2**20
+_FOOTER = struct.Struct("<QQI")
+_DATA_END_BYTES = 4
+# The length of a chunk's compression, by which nearly all other records are told from chunks.
+_COMPRESSION = slice(PREFIX.size + 28, PREFIX.size + 32)
+_COMPRESSION_LENGTHS = {len(name).to_bytes(4, "little") for name in COMPRESSIONS}
 _FIRST_PRIVATE_OPCODE = 0x80
+_MOST_REMARKS = 20
 
 
-def index_mcap(file: ByteFile) -> ChunkIndex:
-    """Walk the records of an MCAP file.
+def index_mcap(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
+    """Walk the records of an MCAP file; of several, when it is made of several.
 
     Raises
     ------
@@ -46,134 +66,214 @@ def index_mcap(file: ByteFile) -> ChunkIndex:
     magic = file.read(0, min(file.size, len(MAGIC)))
     if magic != MAGIC:
         raise BagError(f"{file.path}: begins with {magic.hex()}; need {MAGIC.hex()} (MCAP)")
-    return _Walk(file).index()
+    found: list[ChunkIndex] = []
+    at = len(MAGIC)
+    while at >= 0:
+        walk = _Walk(file, limits)
+        walk.sure = at
+        at = walk.over(at)
+        found.append(walk.found)
+    return found
+
+
+MCAP = ChunkFormat(index_mcap, mcap_contents, mcap_chunks)
 
 
 class _Walk:
-    def __init__(self, file: ByteFile) -> None:
-        self.file = file
+    def __init__(self, file: ByteFile, limits: LimitsParameters) -> None:
+        self.file, self.limits = file, limits
         self.found = ChunkIndex()
-        self.stretches = self.found.stretches
-        self.run_is_open = False
+        self.last: Stretch | None = None  # not yet in the table
+        self.before: Stretch | None = None  # the last one in the table
+        self.sure = 0  # a search for the next record starts behind it: what is before has the right length
+        self.is_cut_chunk = False
+        self.is_data = True
+        self.listed_chunks = 0
+        self.summary_start = 0
+        self.next_file = -1
 
-    def index(self) -> ChunkIndex:
-        at = len(MAGIC)
-        while at < self.file.size and not self.found.is_complete:
+    def over(self, at: int) -> int:
+        """Walk from the byte behind the magic; return the same place of the file that follows, -1 when none does."""
+        while at < self.file.size and not self.found.is_complete and self.next_file < 0:
             try:
                 at = self.next_record(at)
             except BagError:
                 at = self.recovered(at)
-        return self.found
+        self.close_stretch()
+        return self.next_file
 
     def next_record(self, at: int) -> int:
         """Take the record at `at`; return the next one's place. BagError when there is no record."""
-        head = self.file.read(at, min(HEAD_BYTES, self.file.size - at))
-        opcode, length = self.prefix(head)
+        head = self.file.head(at, HEAD_BYTES)
+        opcode, length = prefix(head)
         end = at + PREFIX.size + length
         if end > self.file.size:
             if opcode == Opcode.CHUNK:
                 self.take_cut_chunk(at, chunk_header(head, length))
+                self.sure, self.is_cut_chunk = at, True
             raise BagError(f"record of {length} bytes at byte {at} reaches beyond the end")
-        if opcode == Opcode.MESSAGE:
+        sure = at
+        if opcode == Opcode.MESSAGE and not (self.starts_run(at) and self.is_disguised_chunk(at, head, length)):
             self.take_message(at, end, head)
-            return end
-        self.run_is_open = False
-        if opcode == Opcode.CHUNK:
-            chunk = chunk_header(head, length)
-            self.stretches.append(
-                Stretch(
-                    at, at + chunk.data_offset, chunk.compressed_size, chunk.compression,
-                    chunk.size, chunk.crc, chunk.start_ns, chunk.end_ns,
-                )
-            )  # fmt: skip
         elif opcode == Opcode.MESSAGE_INDEX:
-            channel_id, count = indexed_count(head, length)
-            if self.stretches:
-                counts = self.stretches[-1].counts
-                counts[channel_id] = counts.get(channel_id, 0) + count
-                self.stretches[-1].is_counted = True
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            if length > MAX_BYTES:
-                raise BagError(f"definition of {length} bytes at byte {at}")
-            definition = definition_record(opcode, self.file.read(at + PREFIX.size, length))
-            if definition is not None:
-                self.found.define(definition)
-            elif not self.is_followed(end):  # not even its length is right
-                raise BagError(f"definition at byte {at} cannot be read")
-        elif opcode == Opcode.FOOTER:
-            self.found.is_complete = True
+            self.take_message_index(*index_head(head, length))
+            sure = end
+        elif opcode == Opcode.CHUNK or self.is_disguised_chunk(at, head, length):
+            sure = self.take_chunk(at, head, length)
+        else:
+            self.close_stretch()
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.take_definition(at, opcode, length)
+            elif opcode == Opcode.STATISTICS:
+                self.take_statistics(at + PREFIX.size, length)
+            elif opcode == Opcode.CHUNK_INDEX:
+                self.listed_chunks += 1
+            elif opcode == Opcode.DATA_END and length == _DATA_END_BYTES:
+                self.is_data, self.summary_start = False, end
+                sure = end
+            elif opcode == Opcode.FOOTER and length == _FOOTER.size:
+                sure = end = self.take_footer(at, end)
+            elif opcode == Opcode.FOOTER:
+                self.remark(f"the record at byte {at} has the type of a footer, and another length: read on behind it")
+            elif LAST_KNOWN_OPCODE < opcode < _FIRST_PRIVATE_OPCODE and not is_followed(self.file, end):
+                raise BagError(f"unknown opcode {opcode}")
+        # What a record may have jumped over is looked through when the next one is none.
+        self.sure = sure
         return end
+
+    def take_chunk(self, at: int, head: bytes, length: int) -> int:
+        chunk = chunk_at(at, chunk_header(head, length))
+        self.close_stretch()
+        self.last = chunk
+        self.found.chunks += 1
+        return chunk.end
 
     def take_cut_chunk(self, at: int, chunk: ChunkHeader) -> None:
         """Keep what is there of an uncompressed chunk that the file's end cuts."""
         start = at + chunk.data_offset
         if chunk.compression == "" and start < self.file.size:
+            self.close_stretch()
             size = self.file.size - start
-            self.stretches.append(Stretch(at, start, size, "", size, 0, chunk.start_ns, chunk.end_ns))
+            self.last = Stretch(at, start, size, "", size, 0, chunk.start_ns, chunk.end_ns)
 
-    @staticmethod
-    def prefix(head: bytes) -> tuple[int, int]:
-        if len(head) < PREFIX.size:
-            raise BagError(f"{len(head)} bytes; need {PREFIX.size} for a record")
-        opcode, length = PREFIX.unpack_from(head)
-        if opcode == 0 or _LAST_KNOWN_OPCODE < opcode < _FIRST_PRIVATE_OPCODE:
-            raise BagError(f"unknown opcode {opcode}")
-        return opcode, length
+    def starts_run(self, at: int) -> bool:
+        return self.last is None or not self.last.is_run or self.last.end != at
 
     def take_message(self, at: int, end: int, head: bytes) -> None:
-        channel_id, time_ns = message_time(head, end - at - PREFIX.size)
-        if not self.run_is_open or self.stretches[-1].size + end - at > _STRETCH_BYTES:
-            self.stretches.append(Stretch(at, at, 0, "", 0, 0, time_ns, time_ns, is_counted=True))
-            self.run_is_open = True
-        run = self.stretches[-1]
+        message = message_head(head, end - at - PREFIX.size)
+        if message is None:
+            return
+        channel_id, time_ns = message
+        run = self.last
+        if run is None or self.starts_run(at) or end - run.offset > _STRETCH_BYTES:
+            self.close_stretch()
+            run = self.last = Stretch(at, at, 0, "", 0, 0, time_ns, time_ns, is_counted=True)
         run.size = run.data_size = end - run.offset
         run.start_ns, run.end_ns = min(run.start_ns, time_ns), max(run.end_ns, time_ns)
         run.counts[channel_id] = run.counts.get(channel_id, 0) + 1
 
+    def take_message_index(self, channel_id: int, count: int, first_ns: int) -> None:
+        chunk = self.last
+        if chunk is None or chunk.is_run:
+            return
+        chunk.counts[channel_id] = chunk.counts.get(channel_id, 0) + count
+        chunk.is_counted = True
+        chunk.start_ns = min(chunk.start_ns, first_ns)
+
+    def take_definition(self, at: int, opcode: int, length: int) -> None:
+        if length > 1_000_000 * self.limits.message_mb:
+            raise BagError(f"definition of {length} bytes at byte {at}")
+        content = self.file.read(at + PREFIX.size, length)
+        definition = definition_record(opcode, content, self.limits)
+        if definition is None:
+            if not is_followed(self.file, at + PREFIX.size + length):  # not even its length is right
+                raise BagError(f"definition at byte {at} cannot be read")
+        else:
+            (self.found.definitions if self.is_data else self.found.summary).define(definition)
+
+    def take_statistics(self, start: int, length: int) -> None:
+        try:
+            content = self.file.read(start, min(length, _STATISTICS_BYTES))
+            self.found.promise = statistics(content, self.listed_chunks)
+        except BagError as error:
+            self.remark(f"its statistics cannot be read: {error}")
+            self.found.is_doubtful = True
+
+    def take_footer(self, at: int, end: int) -> int:
+        """Return where the walk goes on: most files end here."""
+        behind = self.file.head(end, 2 * len(MAGIC))
+        if len(behind) <= len(MAGIC):
+            self.found.is_complete = True
+        elif behind == 2 * MAGIC:
+            self.next_file = end + len(behind)
+            self.found.is_complete = True
+            self.remark(f"another file follows behind the footer at byte {at}: read on")
+        else:
+            self.remark(f"goes on behind the footer at byte {at}: read on")
+            self.found.is_doubtful = True
+        self.take_summary(at)
+        self.is_data = True
+        return end + len(MAGIC) if behind.startswith(MAGIC) else end
+
+    def take_summary(self, footer: int) -> None:
+        """Trust the definitions of the summary when its checksum is there, and right."""
+        has_summary, _, crc = _FOOTER.unpack(self.file.head(footer + PREFIX.size, _FOOTER.size))
+        start, end = self.summary_start, footer + PREFIX.size + _FOOTER.size - 4
+        if not (has_summary and crc and start):
+            return
+        got = 0
+        for at in range(start, end, _BLOCK_BYTES):
+            got = zlib.crc32(self.file.read(at, min(_BLOCK_BYTES, end - at)), got)
+        if got == crc:
+            self.found.definitions.take(self.found.summary)
+        else:
+            self.remark("the checksum of its summary differs: what it says is compared with the data")
+            self.found.is_doubtful = True
+
+    def close_stretch(self) -> None:
+        """Put what is complete into the table; a chunk without data has no message."""
+        if self.last is not None and self.last.data_size:
+            self.found.stretches.append(self.last)
+            self.before = self.last
+        self.last = None
+
+    def remark(self, text: str) -> None:
+        if len(self.found.remarks) < _MOST_REMARKS and text not in self.found.remarks:
+            self.found.remarks.append(text)
+
+    def is_disguised_chunk(self, at: int, head: bytes, length: int) -> bool:
+        """Whether a record of another type is consistent as a chunk, which nothing else is by chance."""
+        try:
+            if head[_COMPRESSION] not in _COMPRESSION_LENGTHS or length < HEAD_BYTES:
+                return False
+            if chunk_header(head, length).compression not in COMPRESSIONS:
+                return False
+        except BagError:
+            return False
+        self.remark(f"the record at byte {at} is read as a chunk, though its type differs")
+        return True
+
     def recovered(self, broken: int) -> int:
-        """Return where the walk can go on after the broken record: the file's end when nowhere."""
-        if self.stretches and not self.run_is_open:
-            # Its message indexes may be among what is broken.
-            self.stretches[-1].is_counted = False
-        self.run_is_open = False
-        at = broken + 1
-        while at < self.file.size:
-            block = self.file.read(at, min(_SEARCH_BYTES, self.file.size - at))
-            for candidate in _CANDIDATE.finditer(block):
-                if self.is_record(at + candidate.start()):
-                    self.found.gaps.append(Gap(broken, at + candidate.start()))
-                    return at + candidate.start()
-            at += max(1, len(block) - PREFIX.size + 1)
+        """Return where the walk can go on after a broken record: the file's end when nowhere."""
+        start, find = self.sure, chunk_candidates if self.is_cut_chunk else candidates
+        self.is_cut_chunk = False
+        head = self.file.head(broken, HEAD_BYTES)
+        if len(head) >= PREFIX.size and head[0] != Opcode.CHUNK:
+            length: int = PREFIX.unpack_from(head)[1]
+            end = broken + PREFIX.size + length
+            if end <= self.file.size and self.is_disguised_chunk(broken, head, length):
+                self.sure = self.take_chunk(broken, head, length)
+                return end
+        if self.last is not None and not self.last.is_run:
+            self.last.is_counted = False  # its message indexes may be among what is broken
+        self.close_stretch()
+        for at in find(self.file, start + 1, self.file.size):
+            if self.file.head(at, len(MAGIC)) == MAGIC:
+                self.next_file = at + len(MAGIC)
+                self.remark(f"another file follows at byte {at}: read on")
+            if self.next_file >= 0 or is_record(self.file, at, self.before, self.found.definitions.channels.keys()):
+                self.found.gaps.append(Gap(broken if at > broken else start, at))
+                self.sure = at
+                return at
         self.found.gaps.append(Gap(broken, self.file.size))
         return self.file.size
-
-    def is_likely_message(self, channel_id: int, time_ns: int) -> bool:
-        """Whether the last message outside of chunks was of this channel and hour: pixels can look like a record."""
-        return any(
-            run.data_offset == run.offset and channel_id in run.counts and abs(time_ns - run.end_ns) < _HOUR_NS
-            for run in self.stretches[-1:]
-        )
-
-    def is_record(self, at: int) -> bool:
-        """Whether a chunk, or a message followed by another record, begins at `at`."""
-        head = self.file.read(at, min(HEAD_BYTES, self.file.size - at))
-        try:
-            opcode, length = self.prefix(head)
-            end = at + PREFIX.size + length
-            if end > self.file.size:
-                return False
-            if opcode == Opcode.CHUNK:
-                return chunk_header(head, length).compression in ("", "zstd", "lz4")
-            if not self.is_likely_message(*message_time(head, length)):
-                return False
-            return self.is_followed(end)
-        except BagError:
-            return False
-
-    def is_followed(self, end: int) -> bool:
-        """Whether another record begins where one ends."""
-        try:
-            opcode, length = self.prefix(self.file.read(end, min(PREFIX.size, self.file.size - end)))
-        except BagError:
-            return False
-        return opcode <= _LAST_KNOWN_OPCODE and end + PREFIX.size + length <= self.file.size

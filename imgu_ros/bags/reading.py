@@ -6,38 +6,16 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self
 
-from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunked import ChunkedStorage
-from imgu_ros.bags.compression import ZSTD_MAGIC, decompress_file
+from imgu_ros.bags.compression import Expansion, decompressed_message
 from imgu_ros.bags.decoding import MessageDecoder
-from imgu_ros.bags.mcap_format import MAGIC as MCAP_MAGIC
-from imgu_ros.bags.mcap_format import mcap_records
-from imgu_ros.bags.mcap_index import index_mcap
-from imgu_ros.bags.rosbag1_format import MAGIC as ROSBAG1_MAGIC
-from imgu_ros.bags.rosbag1_format import index_rosbag1, rosbag1_records
-from imgu_ros.bags.rosbag2 import METADATA, splits
-from imgu_ros.bags.sqlite import SqliteStorage
-from imgu_ros.bags.storage import (
-    DEFAULT_LIMITS,
-    Channel,
-    Part,
-    RawMessage,
-    Storage,
-    Warnings,
-    merge_by_time,
-    seconds,
-)
+from imgu_ros.bags.opening import NEED, Opening, require_different
+from imgu_ros.bags.storage import DEFAULT_LIMITS, Channel, RawMessage, Storage, Warnings, merge_by_time, seconds
 from imgu_ros.errors import BagError
 from imgu_ros.params import LimitsParameters
-
-_SQLITE_MAGIC = b"SQLite format 3\0"
-_NEED = "need a ROS 1 bag, or a rosbag2 folder, .mcap or .db3 file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +65,12 @@ def open_bag(paths: Sequence[Path], *, limits: LimitsParameters = DEFAULT_LIMITS
         warning.
     """
     if not paths:
-        raise BagError(f"no bag given; {_NEED}")
-    _require_different(paths)
+        raise BagError(f"no bag given; {NEED}")
+    require_different(paths)
     with ExitStack() as stack:
-        warnings = Warnings()
-        storages = [storage for path in paths for storage in _storages(Path(path), warnings, stack, limits)]
-        return Bag(storages, warnings, stack.pop_all(), limits)
+        opening = Opening(limits, Warnings(), stack)
+        storages = [storage for path in paths for storage in opening.storages(Path(path))]
+        return Bag(storages, opening.warnings, stack.pop_all(), limits)
 
 
 class Bag:
@@ -109,6 +87,7 @@ class Bag:
         self._warnings = warnings
         self._resources = resources
         self._decoder = MessageDecoder(limits)
+        self._limits = limits
         self._is_open = True
         totals: dict[str, Topic] = {}
         for storage in storages:
@@ -153,9 +132,10 @@ class Bag:
         BagError
             If the bag is closed.
         """
+        expansion = Expansion(self._limits)
         for raw in self.raw_messages(topics):
             try:
-                message = self._decoder.decoded(raw)
+                message = self._decoder.decoded(self._plain(raw, expansion))
             except BagError as error:
                 self._warn_of_message(raw, error)
                 continue
@@ -170,21 +150,24 @@ class Bag:
             If the bag is closed.
         """
         wanted = None if topics is None else frozenset(topics)
-        for raw in merge_by_time(
-            Part(storage.start_ns, partial(storage.messages, wanted)) for storage in self._with_messages()
-        ):
+        parts = [storage.parts(wanted) for storage in self._with_messages()]
+        # Half as much again, so that a chunk of the largest size may overlap with others.
+        for raw in merge_by_time(parts, 1_500_000 * self._limits.message_mb, self._warn_of_disorder):
             if not self._is_open:
-                raise BagError("bag: closed while it was read; need an open bag")
+                break
             yield raw
+        if not self._is_open:
+            raise BagError("bag: closed while it was read; need an open bag")
 
     def cdr_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield messages as bytes of CDR with its encapsulation, decompressed; those of ROS 1 bags are converted.
 
         A message that cannot be had so is skipped, and said in `warnings`.
         """
+        expansion = Expansion(self._limits)
         for raw in self.raw_messages(topics):
             try:
-                data = self._decoder.cdr(raw)
+                data = self._decoder.cdr(self._plain(raw, expansion))
             except BagError as error:
                 self._warn_of_message(raw, error)
                 continue
@@ -208,6 +191,17 @@ class Bag:
             raise BagError("bag: closed; need an open bag")
         return [storage for storage in self._storages if any(storage.counts.values())]
 
+    def _plain(self, raw: RawMessage, expansion: Expansion) -> RawMessage:
+        """Return the message, decompressed when rosbag2 compressed it by itself."""
+        data = decompressed_message(raw.data, self._limits, expansion)
+        return raw if data is raw.data else RawMessage(raw.channel, raw.time_ns, data)
+
+    def _warn_of_disorder(self) -> None:
+        self._warnings.add(
+            "messages come out of the order of their times: the times of their chunks are wrong, or chunks that "
+            f"overlap take more than {1.5 * self._limits.message_mb:.0f} MB (limits.message_mb)"
+        )
+
     def _warn_of_message(self, raw: RawMessage, error: BagError) -> None:
         channel: Channel = raw.channel
         reason = self._decoder.type_error(channel)
@@ -218,86 +212,3 @@ class Bag:
                 f"{channel.topic}: the message at {seconds(raw.time_ns)} is damaged and skipped: {error}",
                 kind=f"{channel.topic}: damaged messages",
             )
-
-
-def _require_different(paths: Sequence[Path]) -> None:
-    """Refuse a bag, or a file of a bag, beside itself: every frame would come twice."""
-    known: dict[Path, Path] = {}
-    for path in map(Path, paths):
-        if path.parts and path.parts[0] == "file:":
-            raise BagError(f"{path}: a URL; need a path, {_NEED.removeprefix('need ')}")
-        real = path.resolve()
-        real = real.parent if real.name == METADATA else real
-        for earlier, given in known.items():
-            if earlier in (real, real.parent) or earlier.parent == real:
-                raise BagError(f"{path}: the same bag as {given}; need each bag once")
-        known[real] = path
-
-
-def _storages(path: Path, warnings: Warnings, stack: ExitStack, limits: LimitsParameters) -> list[Storage]:
-    """Open all files of the bag at `path`; `stack` closes them."""
-    if path.name == METADATA and path.is_file():
-        path = path.parent
-    if not path.is_dir():
-        return [_opened(path, path.name, warnings, stack, limits)]
-    storages: list[Storage] = []
-    errors: list[BagError] = []
-    for split in splits(path, warnings):
-        try:
-            storage = _opened(split.path, split.path.name, warnings, stack, limits)
-        except BagError as error:
-            errors.append(error)
-            continue
-        storages.append(storage)
-        count = sum(storage.counts.values())
-        if count < split.message_count:
-            warnings.add(f"{split.path.name}: {count} of the {split.message_count} messages that {METADATA} announces")
-    if errors and not storages:
-        raise errors[0]
-    for skipped in errors:
-        warnings.add(f"skipped: {skipped}")
-    return storages
-
-
-def _opened(path: Path, name: str, warnings: Warnings, stack: ExitStack, limits: LimitsParameters) -> Storage:
-    """Open one file, whatever its name says, by its first bytes."""
-    file = ByteFile(path)
-    try:
-        if not path.is_file():
-            raise BagError(f"{path}: not a regular file; {_NEED}")
-        if file.size == 0:
-            raise BagError(f"{path}: empty file; {_NEED}")
-        magic = file.read(0, min(file.size, 16))
-        storage: Storage
-        if magic.startswith(MCAP_MAGIC):
-            storage = ChunkedStorage(file, name, warnings, index_mcap(file), mcap_records, limits)
-        elif magic.startswith(ROSBAG1_MAGIC):
-            storage = ChunkedStorage(file, name, warnings, index_rosbag1(file), rosbag1_records, limits)
-        elif magic == _SQLITE_MAGIC:
-            file.close()
-            storage = SqliteStorage(path, name, warnings, limits)
-        elif magic.startswith(ZSTD_MAGIC) and path.suffix == ".zstd":
-            file.close()
-            return _decompressed(path, name, warnings, stack, limits)
-        else:
-            raise BagError(f"{path}: not a bag (begins with {magic[:8].hex()}); {_NEED}")
-    except BaseException:
-        file.close()
-        raise
-    stack.callback(storage.close)
-    return storage
-
-
-def _decompressed(path: Path, name: str, warnings: Warnings, stack: ExitStack, limits: LimitsParameters) -> Storage:
-    """Open a file that rosbag2 compressed as a whole, from a temporary copy that `stack` removes."""
-    try:
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="imgu_bag_")))
-    except OSError as error:
-        raise BagError(f"{path}: no temporary folder to decompress it: {error.strerror}") from None
-    plain = folder / (path.stem or "bag")
-    damage = decompress_file(path, plain, limits)
-    if damage:
-        warnings.add(f"{name}: {damage}")
-    if plain.stat().st_size == 0:
-        raise BagError(f"{path}: nothing can be decompressed ({damage or 'it is empty'}); {_NEED}")
-    return _opened(plain, name, warnings, stack, limits)

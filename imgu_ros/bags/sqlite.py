@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from rosbags.typesys.msg import normalize_msgtype
@@ -14,6 +15,7 @@ from imgu_ros.bags.storage import (
     DEFAULT_LIMITS,
     MAX_TIME_NS,
     Channel,
+    Part,
     RawMessage,
     Warnings,
     seconds,
@@ -74,6 +76,10 @@ class SqliteStorage:
             if identity in self._by_id:
                 totals[self._by_id[identity]] += count
         return totals
+
+    def parts(self, topics: Collection[str] | None) -> Iterator[Part]:
+        """Yield one part: all messages of `topics` (None: all)."""
+        yield Part(self.start_ns, partial(self.messages, topics))
 
     def messages(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
         """Yield the messages of `topics` (None: all) in time order."""

@@ -7,18 +7,19 @@ import heapq
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from operator import itemgetter
 from typing import Protocol
 
 from imgu_ros.params import LimitsParameters
 
 #: Of whoever has no parameters at hand.
 DEFAULT_LIMITS = LimitsParameters()
-#: No chunk and no message of a sane bag is larger; a forged length must not make us allocate it.
-MAX_BYTES = 2**30
 #: Times of messages are signed 64-bit nanoseconds everywhere in ROS.
 MAX_TIME_NS = 2**63 - 1
 
 _MAX_COUNTED = 10_000
+#: What an open part holds beside its data.
+_OPEN_BYTES = 4096
 
 
 class Serialization(StrEnum):
@@ -95,6 +96,24 @@ class Warnings:
         return f"{text} (and {others}{' or more' if others + 1 == _MAX_COUNTED else ''} others)"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A stretch of messages that can be opened late.
+
+    Attributes
+    ----------
+    start_ns : no message is earlier
+    open : gives the messages in time order
+    place : among the parts of its storage, where times are equal
+    size : bytes that it holds while it is open
+    """
+
+    start_ns: int
+    open: Callable[[], Iterator[RawMessage]]
+    place: int = 0
+    size: int = 0
+
+
 class Storage(Protocol):
     """One file of a bag.
 
@@ -116,51 +135,57 @@ class Storage(Protocol):
     def end_ns(self) -> int:
         """Time of the last message."""
 
-    def messages(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
-        """Yield the messages of `topics` (None: all) in time order; damage is skipped and noted as a warning."""
+    def parts(self, topics: Collection[str] | None) -> Iterator[Part]:
+        """Yield what holds the messages of `topics` (None: all), in the order of its beginning.
+
+        Damage is skipped and noted as a warning.
+        """
 
     def close(self) -> None:
         """Release the file."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A stretch of messages that can be opened late.
+def merge_by_time(
+    storages: Iterable[Iterator[Part]], most_bytes: int, on_disorder: Callable[[], None] = lambda: None
+) -> Iterator[RawMessage]:
+    """Yield the messages of all storages in time order; equal times in the order of storages and their parts.
 
-    Attributes
-    ----------
-    start_ns : no message is earlier
-    open : gives the messages in time order
+    A part is opened when its turn comes, so that only parts that overlap in time are in memory together. Those that are
+    more than `most_bytes` wait until one of them is done; `on_disorder` is called when a message then comes too late.
     """
-
-    start_ns: int
-    open: Callable[[], Iterator[RawMessage]]
-
-
-def merge_by_time(parts: Iterable[Part]) -> Iterator[RawMessage]:
-    """Yield the messages of all parts in time order; equal times in the order of the parts.
-
-    A part is opened when its turn comes, so that only parts that overlap in time are in memory together.
-    """
-    waiting = sorted(enumerate(parts), key=lambda numbered: numbered[1].start_ns)
-    waiting.reverse()  # taken from the end
-    heap: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
-    while waiting or heap:
-        while waiting and (not heap or waiting[-1][1].start_ns <= heap[0][0]):
-            number, part = waiting.pop()
+    waiting = heapq.merge(*(_numbered(number, parts) for number, parts in enumerate(storages)), key=itemgetter(0))
+    heap: list[tuple[int, int, int, int, RawMessage, Iterator[RawMessage]]] = []
+    held, latest_ns = 0, 0
+    upcoming = next(waiting, None)
+    while upcoming is not None or heap:
+        while upcoming is not None and (not heap or upcoming[0][0] <= heap[0][0]):
+            (_, number, place), part = upcoming
+            size = part.size + _OPEN_BYTES
+            if heap and held + size > most_bytes:
+                break
             source = part.open()
             first = next(source, None)
             if first is not None:
-                heapq.heappush(heap, (first.time_ns, number, first, source))
+                held += size
+                heapq.heappush(heap, (first.time_ns, number, place, size, first, source))
+            upcoming = next(waiting, None)
         if not heap:
             continue
-        _, number, message, source = heap[0]
+        time_ns, number, place, size, message, source = heap[0]
         following = next(source, None)
         if following is None:
             heapq.heappop(heap)
+            held -= size
         else:
-            heapq.heapreplace(heap, (following.time_ns, number, following, source))
+            heapq.heapreplace(heap, (following.time_ns, number, place, size, following, source))
+        if time_ns < latest_ns:
+            on_disorder()
+        latest_ns = max(latest_ns, time_ns)
         yield message
+
+
+def _numbered(number: int, parts: Iterator[Part]) -> Iterator[tuple[tuple[int, int, int], Part]]:
+    return (((part.start_ns, number, part.place), part) for part in parts)
 
 
 def seconds(time_ns: int) -> str:

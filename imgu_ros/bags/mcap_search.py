@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find records in the bytes of a damaged MCAP file: what looks like one, and whether it is consistent in itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+
+from imgu_ros.bags.byte_file import ByteFile
+from imgu_ros.bags.mcap_format import (
+    COMPRESSIONS,
+    HEAD_BYTES,
+    MAGIC,
+    PREFIX,
+    ChunkHeader,
+    Opcode,
+    chunk_header,
+    message_head,
+)
+from imgu_ros.bags.stretches import Stretch
+from imgu_ros.errors import BagError
+
+LAST_KNOWN_OPCODE = 0x0F
+
+_SEARCH_BYTES = 2**20
+# Chunks, messages and definitions whose length is below 2^40, the ends of data and file; each match is empty, so that
+# none hides another.
+_CHUNK = rb"\x06.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)"
+_CANDIDATE = re.compile(
+    rb"(?=" + _CHUNK + rb"|[\x03\x04\x05].{5}\0\0\0|\x02\x14\0{7}|\x0f\x04\0{7}|\x89MCAP0\r\n\x01)", re.DOTALL
+)
+_CHUNK_CANDIDATE = re.compile(rb"(?=" + _CHUNK + rb")", re.DOTALL)
+_HOUR_NS = 3600 * 10**9
+#: Records that must follow a message of another time than the last, for pixels can look like a record.
+_CHAINED = 3
+
+
+def mcap_chunks(file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
+    """Yield the chunks between two places of a file that are consistent in themselves, one behind the other."""
+    for at in chunk_candidates(file, start, end):
+        if at < start:
+            continue
+        head = file.head(at, HEAD_BYTES)
+        try:
+            _, length = prefix(head)
+            stretch = chunk_at(at, chunk_header(head, length))
+        except BagError:
+            continue
+        if stretch.end <= end:
+            yield stretch
+            start = stretch.end
+
+
+def chunk_at(at: int, chunk: ChunkHeader) -> Stretch:
+    """Return the chunk whose record begins at `at`."""
+    return Stretch(
+        at, at + chunk.data_offset, chunk.compressed_size, chunk.compression, chunk.size, chunk.crc,
+        chunk.start_ns, chunk.end_ns,
+    )  # fmt: skip
+
+
+def prefix(head: bytes) -> tuple[int, int]:
+    """Return a record's opcode and length; BagError when it has none."""
+    if len(head) < PREFIX.size:
+        raise BagError(f"{len(head)} bytes; need {PREFIX.size} for a record")
+    opcode, length = PREFIX.unpack_from(head)
+    if opcode == 0:
+        raise BagError("opcode 0")
+    return opcode, length
+
+
+def candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
+    """Yield the places where something begins that looks like a record or a file, in their order."""
+    yield from _matches(file, start, end, _CANDIDATE)
+
+
+def chunk_candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
+    """Yield the places where something begins that looks like a chunk, in their order."""
+    yield from _matches(file, start, end, _CHUNK_CANDIDATE)
+
+
+def _matches(file: ByteFile, start: int, end: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
+    for at in range(start, end, _SEARCH_BYTES):
+        block = file.read(at, min(_SEARCH_BYTES + HEAD_BYTES, end - at))
+        for match in pattern.finditer(block):
+            if match.start() >= _SEARCH_BYTES:
+                break
+            yield at + match.start()
+
+
+def is_record(file: ByteFile, at: int, before: Stretch | None, known: Collection[int]) -> bool:
+    """Whether a record begins at `at` that is consistent in itself, or followed by others.
+
+    Parameters
+    ----------
+    before : the last chunk, or messages, before it
+    known : channels
+    """
+    head = file.head(at, HEAD_BYTES)
+    try:
+        opcode, length = prefix(head)
+        end = at + PREFIX.size + length
+        if end > file.size:
+            return False
+        if opcode == Opcode.CHUNK:
+            return chunk_header(head, length).compression in COMPRESSIONS
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            return _texts_end(file, opcode, at) <= end and is_followed(file, end)
+        if opcode != Opcode.MESSAGE:
+            return is_followed(file, end)
+        message = message_head(head, length)
+    except BagError:
+        return False
+    if message is None:
+        return False
+    channel_id, time_ns = message
+    if before is not None and before.is_run and channel_id in before.counts and abs(time_ns - before.end_ns) < _HOUR_NS:
+        return is_followed(file, end)
+    return is_followed(file, end, _CHAINED if channel_id in known else 2 * _CHAINED)
+
+
+def is_followed(file: ByteFile, end: int, times: int = 1) -> bool:
+    """Whether as many records, or the file's end, come where one ends."""
+    for _ in range(times):
+        if end == file.size:
+            return True
+        head = file.head(end, PREFIX.size)
+        if head.startswith(MAGIC[: len(head)]):
+            return True
+        try:
+            opcode, length = prefix(head)
+        except BagError:
+            return False
+        end += PREFIX.size + length
+        if opcode > LAST_KNOWN_OPCODE or end > file.size:
+            return False
+    return True
+
+
+def _texts_end(file: ByteFile, opcode: int, at: int) -> int:
+    """Return where the texts of a definition end, by their own lengths."""
+    at += PREFIX.size + (2 if opcode == Opcode.SCHEMA else 4)
+    for _ in range(3):
+        at += 4 + int.from_bytes(file.head(at, 4), "little")
+        if at > file.size:
+            raise BagError("texts beyond the end")
+    return at
