@@ -12,37 +12,27 @@ complained of an error of its own, rejected without a reason, or gave no pose fo
 from __future__ import annotations
 
 import argparse
-import array
 import json
 import os
 import random
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-import zlib
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from hostile_messages import Liar
 
 from imgu_ros.files.images import write_image
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
-_SIZES = (0, 1, 2, 3, 31, 64, 65, 4096, 65_535, 2**31 - 1, 2**31, 2**32 - 1)
-_ENCODINGS = ("mono8", "rgb8", "bgr16", "bayer_rggb8", "bayer_gbrg16", "32FC1", "64FC3", "8UC7", "yuv422", "uyvy", "",
-              "nv12", "rgb", "16UC99999", "x" * 500, "8UC0", "ünïcode")  # fmt: skip
-_FORMATS = ("jpeg", "png", "", "rgb8; jpeg compressed bgr8", "bayer_rggb8; png compressed", "16UC1; compressedDepth",
-            "; ;", "x" * 300)  # fmt: skip
-_NUMBERS = (0.0, -1.0, 1e-300, 1e300, float("nan"), float("inf"), -float("inf"), 500.0)
-_MODELS = ("plumb_bob", "rational_polynomial", "equidistant", "", "fisheye", "x" * 200)
+_FRAME_IDS = ("camera", "", "/a b", "x" * 1000, "ü")
 _TRANSPORTS = ("raw", "compressed")
 #: Of the bad messages every so often the image is good, and camera_info alone lies.
 _READABLE_EVERY = 10
@@ -67,11 +57,12 @@ class Trial:
 
     def __init__(self, folder: Path, transport: str, arguments: argparse.Namespace) -> None:
         self._transport, self._arguments = transport, arguments
-        self._rng = random.Random(arguments.seed)
         target = default_targets(1)[0]
         write_image(folder / "poster.png", target.pixels)
         self._target = folder / "poster.png"
         self._good = next(iter(simulate_sequence(Simulation(width=320, height=240, frames=1)))).frame
+        assert self._good.camera is not None
+        self._liar = Liar(random.Random(arguments.seed), self._good.camera.K, (320, 240), _FRAME_IDS)
         self._statuses: list[Any] = []
         self._poses: list[Any] = []
         self._lines: list[str] = []
@@ -103,12 +94,12 @@ class Trial:
             before = _resident_mb(process.pid)
             largest = before
             for number in range(self._arguments.messages // 2):
-                info = self._bad_info(CameraInfo())
+                info = self._liar.info(CameraInfo())
                 self._infos.publish(info)
                 if number % _READABLE_EVERY == 0:  # its camera_info lies all the same
                     self._images.publish(self._good_image(info.header))
                 else:
-                    self._images.publish(self._bad_image(kind()))
+                    self._images.publish(self._liar.image(kind()))
                 self._spin(1 / self._arguments.rate)
                 if number % 500 == 499:
                     answered.append(self._good_frame())
@@ -199,97 +190,6 @@ class Trial:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
-
-    def _header(self, message: Any) -> None:
-        rng = self._rng
-        # Most lie about something else.
-        if rng.random() < 0.2:
-            message.header.stamp.sec = rng.choice((0, -(2**31), 2**31 - 1, 5))
-            message.header.stamp.nanosec = rng.choice((0, 2**32 - 1))
-        else:
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
-        message.header.frame_id = rng.choice(("camera", "", "/a b", "x" * 1000, "ü"))
-
-    def _bad_info(self, info: Any) -> Any:
-        rng = self._rng
-        self._header(info)
-        camera = self._good.camera
-        assert camera is not None
-        info.width, info.height = (320, 240) if rng.random() < 0.5 else (rng.choice(_SIZES), rng.choice(_SIZES))
-        k = camera.K.ravel().copy()
-        for _ in range(rng.choice((0, 1, 3))):
-            k[rng.randrange(9)] = rng.choice(_NUMBERS)
-        info.k = k
-        info.d = array.array("d", [rng.choice(_NUMBERS) for _ in range(rng.choice((0, 4, 5, 8, 14, 300)))])
-        info.distortion_model = rng.choice(_MODELS)
-        if rng.random() < 0.2:
-            info.binning_x, info.roi.width, info.roi.x_offset = (rng.choice(_SIZES) for _ in range(3))
-        return info
-
-    def _bad_image(self, message: Any) -> Any:
-        self._header(message)
-        if self._transport == "compressed":
-            message.format = self._rng.choice(_FORMATS)
-            data = bad_file(self._rng)
-        else:
-            data = self._fill(message)
-        content = array.array("B")
-        content.frombytes(data)
-        message.data = content
-        return message
-
-    def _fill(self, image: Any) -> bytes:
-        """Write the fields of an image that lies, or holds noise; return its data."""
-        rng = self._rng
-        image.encoding = rng.choice(_ENCODINGS)
-        image.width, image.height = rng.choice(_SIZES), rng.choice(_SIZES)
-        image.step = rng.choice((*_SIZES, min(2**32 - 1, image.width), min(2**32 - 1, 3 * image.width)))
-        image.is_bigendian = rng.choice((0, 1, 255))
-        size = rng.choice((0, 1, 100, 4096, 60_000))
-        if rng.random() < 0.2:
-            image.encoding, image.width, image.height, image.step, size = "mono8", 240, 200, 240, 48_000
-        return rng.randbytes(size)
-
-
-def bad_file(rng: random.Random) -> bytes:
-    """Return a picture file that is cut, damaged, of noise, or a few bytes that claim to be very large."""
-    noise = np.frombuffer(rng.randbytes(64 * 48 * 3), np.uint8).reshape(48, 64, 3)
-    _, encoded = cv2.imencode(rng.choice((".png", ".jpg")), noise)
-    data = bytearray(encoded.tobytes())
-    kind = rng.randrange(6)
-    if kind == 0:
-        return bytes(data[: rng.randrange(len(data))])
-    if kind == 1:
-        for _ in range(rng.choice((1, 10, 100))):
-            data[rng.randrange(len(data))] = rng.randrange(256)
-        return bytes(data)
-    if kind == 2:
-        return rng.randbytes(rng.choice((0, 3, 50, 5000)))
-    if kind == 3:
-        return png(rng.choice((1, 20_000, 2**31 - 1)), rng.choice((1, 20_000, 2**31 - 1)), b"\0" * 100)
-    if kind == 4 and rng.random() < 0.1:
-        # It is what it says: 16000 x 16000 pixels of nothing, in a quarter of a megabyte.
-        return _BOMB or _make_bomb()
-    return bytes(data)
-
-
-def png(width: int, height: int, content: bytes) -> bytes:
-    """Return a PNG file whose header says what it likes."""
-
-    def chunk(name: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(content)) + chunk(b"IEND", b"")
-
-
-_BOMB = b""
-
-
-def _make_bomb() -> bytes:
-    global _BOMB
-    _BOMB = png(16_000, 16_000, bytes(16_001 * 16_000))
-    return _BOMB
 
 
 def _resident_mb(pid: int) -> float:

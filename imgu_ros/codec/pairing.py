@@ -127,9 +127,10 @@ class Pairing(Generic[ImageT, InfoT]):
         self.last_info_ns = stamp_ns
         self._infos.setdefault(frame_id, _Infos()).add(stamp_ns, camera_info)
         self._infos.move_to_end(frame_id)
-        while len(self._infos) > _CAMERAS:
+        if len(self._infos) > _CAMERAS:
             # Those of a camera whose images come are the last to go.
-            self._infos.pop(next((name for name in self._infos if name not in self._cameras), next(iter(self._infos))))
+            others = list(self._infos)[:-1]
+            self._infos.pop(next((name for name in others if name not in self._cameras), others[0]))
         pairs = []
         for name, camera in self._cameras.items():
             if name == frame_id or self._infos[frame_id] in self._infos_of(name, camera):

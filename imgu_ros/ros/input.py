@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -42,11 +42,12 @@ _IMAGE_TYPES = {"raw": "sensor_msgs/msg/Image", "compressed": "sensor_msgs/msg/C
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """An image message, its camera_info message or None, and when the image came (monotonic seconds)."""
+    """An image message, its camera_info message or None, when the image came (monotonic seconds), and its frame_id."""
 
     image: Any
     camera_info: Any | None
     received_s: float
+    frame_id: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,9 @@ class ImageInput:
 
     def __init__(self, node: Node, transport: str) -> None:
         self.standstill = Standstill()
-        self.slot: NewestSlot[Job] = NewestSlot(is_old=lambda job: self.standstill.precedes(job.received_s))
+        self.slot: NewestSlot[Job] = NewestSlot(
+            is_old=lambda job: self.standstill.precedes(job.received_s), sender=lambda job: job.frame_id
+        )
         self.limits = LimitsParameters()
         self.arrivals = RateMeter()
         self.infos = RateMeter()
@@ -253,7 +256,9 @@ class ImageInput:
                 self._node.get_logger().warning(warning)
         self.headers.add_image(message)
         header = decode_header(message)
-        self._hand_over(self._pairing.add_image(header.stamp_ns, Job(message, None, now), header.frame_id))
+        self._hand_over(
+            self._pairing.add_image(header.stamp_ns, Job(message, None, now, header.frame_id), header.frame_id)
+        )
 
     def _on_camera_info(self, data: bytes) -> None:
         message, _ = self._read(self.topics.camera_info, CAMERA_INFO_TYPE, data, _INFO_BYTES)
@@ -282,7 +287,7 @@ class ImageInput:
 
     def _hand_over(self, pairs: list[Pair[Job, Any]]) -> None:
         for pair in pairs:
-            self.slot.put(Job(pair.image.image, pair.camera_info, pair.image.received_s))
+            self.slot.put(replace(pair.image, camera_info=pair.camera_info))
 
 
 def input_topics(node: Node, transport: str) -> InputTopics:

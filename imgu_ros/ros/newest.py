@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -15,6 +17,9 @@ T = TypeVar("T")
 _PATIENCE_S = 0.25
 #: More never wait: an image is some megabytes.
 _MOST = 12
+#: So many senders are told apart, by the time that they took lately.
+_SENDERS = 8
+_LATELY_S = 2.0
 
 
 class NewestSlot(Generic[T]):
@@ -23,11 +28,15 @@ class NewestSlot(Generic[T]):
     A worker keeps up if it has, now and then, taken all that came. If it is held up for a moment what comes waits for
     it; if it has been behind for longer all but the newest gives way, and counts as skipped.
 
+    Of several senders each is looked at by itself, and the one comes first that took the least of the worker's time
+    lately: who sends what takes long does not cost the others their frames. A new sender comes last.
+
     Parameters
     ----------
     patience_s : how long a worker may be behind before what is old gives way
     clock : tells the time, s
     is_old : tells whether an item is not worth taking any more
+    sender : tells whose an item is
     """
 
     def __init__(
@@ -35,14 +44,16 @@ class NewestSlot(Generic[T]):
         patience_s: float = _PATIENCE_S,
         clock: Callable[[], float] = time.monotonic,
         is_old: Callable[[T], bool] = lambda _: False,
+        sender: Callable[[T], str] = lambda _: "",
     ) -> None:
         self._condition = threading.Condition()
         self._patience_s = patience_s
         self._clock = clock
         self._is_old = is_old
-        self._waiting: deque[T] = deque()
-        # Since when the worker has not taken all that came; None: it has.
-        self._behind_since_s: float | None = None
+        self._sender = sender
+        self._senders: OrderedDict[str, _Sender[T]] = OrderedDict()  # who sent last, last
+        self._served: _Sender[T] | None = None
+        self._looked_s = clock()
         self._skipped = 0
         self._closed = False
 
@@ -59,9 +70,18 @@ class NewestSlot(Generic[T]):
     def put(self, item: T) -> None:
         """Hand over an item."""
         with self._condition:
-            if self._behind_since_s is None:
-                self._behind_since_s = self._clock()
-            self._waiting.append(item)
+            name = self._sender(item)
+            if name not in self._senders:
+                used_s = max((sender.used_s for sender in self._senders.values()), default=0.0)
+                self._senders[name] = _Sender(used_s)
+                if len(self._senders) > _SENDERS:
+                    _, forgotten = self._senders.popitem(last=False)
+                    self._skipped += len(forgotten.waiting)
+            sender = self._senders[name]
+            self._senders.move_to_end(name)
+            if sender.behind_since_s is None:
+                sender.behind_since_s = self._clock()
+            sender.waiting.append(item)
             self._give_way()
             self._condition.notify()
 
@@ -69,13 +89,18 @@ class NewestSlot(Generic[T]):
         """Wait for an item and take it; None once the slot is closed."""
         with self._condition:
             while True:
-                if not self._waiting:
-                    self._behind_since_s = None
-                self._condition.wait_for(lambda: self._waiting or self._closed)
+                self._charge()
+                for sender in self._senders.values():
+                    if not sender.waiting:
+                        sender.behind_since_s = None
+                self._condition.wait_for(lambda: self._closed or self._is_waiting())
                 if self._closed:
                     return None
+                self._charge()
                 self._give_way()
-                item = self._waiting.popleft()
+                waiting = [sender for sender in self._senders.values() if sender.waiting]
+                self._served = min(waiting, key=lambda sender: sender.used_s)
+                item = self._served.waiting.popleft()
                 if not self._is_old(item):
                     return item
                 self._skipped += 1
@@ -83,19 +108,45 @@ class NewestSlot(Generic[T]):
     def clear(self) -> None:
         """Drop what is held; it does not count as skipped."""
         with self._condition:
-            self._waiting.clear()
-            self._behind_since_s = None
+            self._senders.clear()
 
     def close(self) -> None:
         """End every `take`, now and later."""
         with self._condition:
             self._closed = True
-            self._waiting.clear()
+            self._senders.clear()
             self._condition.notify_all()
 
+    def _is_waiting(self) -> bool:
+        return any(sender.waiting for sender in self._senders.values())
+
+    def _charge(self) -> None:
+        """Count the time since the last look for the sender whose item was taken; what is long ago counts less."""
+        now_s = self._clock()
+        passed_s, self._looked_s = now_s - self._looked_s, now_s
+        if self._served is not None:
+            self._served.used_s += passed_s
+            self._served = None
+        left = math.exp(-passed_s / _LATELY_S)
+        for sender in self._senders.values():
+            sender.used_s *= left
+
     def _give_way(self) -> None:
-        behind_s = 0.0 if self._behind_since_s is None else self._clock() - self._behind_since_s
-        most = 1 if behind_s > self._patience_s else _MOST
-        while len(self._waiting) > most:
-            self._waiting.popleft()
+        now_s = self._clock()
+        for sender in self._senders.values():
+            behind_s = 0.0 if sender.behind_since_s is None else now_s - sender.behind_since_s
+            while behind_s > self._patience_s and len(sender.waiting) > 1:
+                sender.waiting.popleft()
+                self._skipped += 1
+        while sum(len(sender.waiting) for sender in self._senders.values()) > _MOST:
+            max(self._senders.values(), key=lambda sender: len(sender.waiting)).waiting.popleft()
             self._skipped += 1
+
+
+@dataclass(slots=True, eq=False)
+class _Sender(Generic[T]):
+    """One sender: the worker's time that it took lately, what waits, and since when not all of it has been taken."""
+
+    used_s: float
+    waiting: deque[T] = field(default_factory=deque)
+    behind_since_s: float | None = None

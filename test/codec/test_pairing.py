@@ -143,6 +143,18 @@ def test_memory_is_bounded():
     assert len(pairing._infos) <= 8 and len(pairing._cameras) <= 8
 
 
+def test_a_strange_camera_info_costs_no_cameras_own():
+    """Eight cameras, and camera_info of a ninth name."""
+    pairing: Pairing[str, str] = Pairing()
+    for n in range(1, 4):
+        for name in "ABCDEFGH":
+            pairing.add_image(n * FRAME_NS, name, name)
+            (pair,) = pairing.add_camera_info(n * FRAME_NS, name, name)
+            assert pair.image == pair.camera_info
+    assert pairing.add_camera_info(FRAME_NS, "strange", "strange") == []
+    assert len(pairing.info_frames) == 8
+
+
 def run_cameras(events: str) -> list[tuple[str, str | None]]:
     """Feed "iA3 cA3 ..." (image or camera_info, frame_id, stamp); return the pairs, as written in the events."""
     pairing: Pairing[str, str] = Pairing()

@@ -129,3 +129,32 @@ def test_what_is_cleared_is_not_skipped() -> None:
     slot.put(2)
     assert slot.skipped == 0
     assert slot.take() == 2
+
+
+def test_a_sender_whose_items_take_long_costs_the_others_nothing() -> None:
+    """A camera at 30 Hz whose frames take 4 ms, and strangers whose frames take 0.2 s, four a second."""
+    camera = [(n / 30, "camera") for n in range(300)]
+    strangers = [(n / 4 + 0.01 * (n % 3), f"stranger {n % 3}") for n in range(40)]
+    events = sorted(camera + strangers)
+    world = World([at_s for at_s, _ in events])
+    world.slot._sender = lambda number: events[number][1]
+    taken: list[str] = []
+    ages_s = []
+    while (number := world.slot.take()) is not None:
+        taken.append(events[number][1])
+        if taken[-1] == "camera":
+            ages_s.append(world.clock.now_s - events[number][0])
+        world.work(0.004 if taken[-1] == "camera" else 0.2)
+    assert taken.count("camera") == 300, "none skipped"
+    assert max(ages_s) < 0.25
+    assert len(taken) + world.slot.skipped == len(events)
+    assert len(taken) > 320, "the strangers get what is left"
+
+
+def test_endless_senders_are_forgotten() -> None:
+    slot: NewestSlot[int] = NewestSlot(clock=Clock(), sender=str)
+    for item in range(100):
+        slot.put(item)
+    assert len(slot._senders) == 8
+    assert slot.skipped == 92
+    assert slot.take() in range(92, 100)

@@ -62,7 +62,7 @@ class Rig:
         return [decode_header(job.messages["a"]).stamp_ns for job in self.taken()]
 
     def taken(self) -> list[StageJob]:
-        jobs = list(self.slot._waiting)
+        jobs = [job for sender in self.slot._senders.values() for job in sender.waiting]
         self.slot.clear()
         return jobs
 
