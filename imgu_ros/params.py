@@ -368,11 +368,16 @@ class LimitsParameters:
     """
 
     picture_mb: int = parameter(
-        1000, "Memory that the decoding of one picture may take.", unit="MB", minimum=1, maximum=1_000_000
+        1000,
+        "Memory that decoding one picture may take, or preparing one target.",
+        unit="MB",
+        minimum=1,
+        maximum=1_000_000,
     )
     picture_megapixels: int = parameter(
-        500,
-        "Pixels that the decoding of one picture may go over, every scan of a progressive JPEG counted.",
+        2000,
+        "Pixels that the decoding of one picture may go over, every scan of a progressive JPEG and every part of a "
+        "file counted: they take time.",
         unit="10^6 px",
         minimum=1,
         maximum=1_000_000,
@@ -399,6 +404,9 @@ class LimitsParameters:
     text_mb: int = parameter(
         4, "Size of a YAML file, its aliases counted as often as they are used.", unit="MB", minimum=1, maximum=10_000
     )
+
+
+DEFAULT_LIMITS = LimitsParameters()
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ class FrameSource:
         self._reading = frame_reading(parameters)
         self._camera_frame = parameters.frames.camera
         self.warnings: list[str] = []
-        choice = choose_image_topic(bag, parameters.image_topic, parameters.raw.encoding)
+        choice = choose_image_topic(bag, parameters.image_topic, parameters.raw.encoding, limits=parameters.limits)
         self.image_topic = choice.topic
         if choice.remark:
             self.warnings.append(choice.remark)

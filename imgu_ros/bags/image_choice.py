@@ -12,6 +12,7 @@ from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.image_source import described_encoding
 from imgu_ros.errors import EncodingError
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 
 
@@ -29,7 +30,9 @@ class ImageChoice:
     remark: str = ""
 
 
-def choose_image_topic(bag: Bag, name: str = "", encoding: str = "") -> ImageChoice:
+def choose_image_topic(
+    bag: Bag, name: str = "", encoding: str = "", *, limits: LimitsParameters = DEFAULT_LIMITS
+) -> ImageChoice:
     """Choose the image topic of a bag by its name, else by what the first messages of each hold.
 
     Pictures of a scene (mosaics, colour, grey) come before generic 8-bit ones, before depth and other measurements, and
@@ -42,6 +45,7 @@ def choose_image_topic(bag: Bag, name: str = "", encoding: str = "") -> ImageCho
     bag : open
     name : the wanted one, the parameter `image_topic`; empty: choose
     encoding : what the pixels are, instead of what messages say: topics whose pixels cannot be that count as unreadable
+    limits : what decoding a picture may cost
 
     Raises
     ------
@@ -52,7 +56,7 @@ def choose_image_topic(bag: Bag, name: str = "", encoding: str = "") -> ImageCho
     candidates = [topic for topic in image_topics(bag.topics) if topic.count]
     if name or len(candidates) < 2:
         return ImageChoice(first)
-    ranked = sorted((_candidate(bag, topic, encoding) for topic in candidates), key=lambda candidate: candidate.rank)
+    ranked = sorted((_candidate(bag, topic, encoding, limits) for topic in candidates), key=lambda one: one.rank)
     chosen, *others = ranked
     listed = ", ".join(f"{candidate.topic.name} ({candidate.content})" for candidate in others[:_MOST_LISTED])
     more = f" and {len(others) - _MOST_LISTED} more" if len(others) > _MOST_LISTED else ""
@@ -93,13 +97,13 @@ class _Candidate:
     rank: tuple[object, ...]
 
 
-def _candidate(bag: Bag, topic: Topic, encoding: str) -> _Candidate:
+def _candidate(bag: Bag, topic: Topic, encoding: str, limits: LimitsParameters) -> _Candidate:
     image: RawImage | None = None
     content = "unreadable"
     for message in islice(bag.messages([topic.name]), _TRIED):
         content = described_encoding(message.message) or "no encoding"
         try:
-            image = decode_frame(message.message, None, rectified=False, encoding=encoding).image
+            image = decode_frame(message.message, None, rectified=False, encoding=encoding, limits=limits).image
         except EncodingError:
             content = f"{content}: unreadable"
         else:

@@ -11,6 +11,7 @@ from imgu_ros.bags.reading import Bag
 from imgu_ros.codec.frame import decode_frame
 from imgu_ros.codec.header import decode_header
 from imgu_ros.errors import EncodingError
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.perception.remarks import Remarks
 from imgu_ros.vision.formation.layout import RawImage
 
@@ -33,7 +34,9 @@ class RecordedPicture:
     remarks: tuple[str, ...] = ()
 
 
-def recorded_pictures(bag: Bag, topic: str = "", encoding: str = "") -> Iterator[RecordedPicture]:
+def recorded_pictures(
+    bag: Bag, topic: str = "", encoding: str = "", *, limits: LimitsParameters = DEFAULT_LIMITS
+) -> Iterator[RecordedPicture]:
     """Yield the images of a topic, in the bag's order.
 
     Parameters
@@ -41,18 +44,19 @@ def recorded_pictures(bag: Bag, topic: str = "", encoding: str = "") -> Iterator
     bag : open
     topic : its name; empty: see `choose_image_topic`
     encoding : what the pixels are, instead of what messages say; empty: what they say
+    limits : what decoding a picture may cost
 
     Raises
     ------
     BagError, ParameterError
         If there is no such topic; see `choose_image_topic`.
     """
-    choice = choose_image_topic(bag, topic, encoding)
+    choice = choose_image_topic(bag, topic, encoding, limits=limits)
     remarks = Remarks()
     for message in bag.messages([choice.topic.name]):
         stamp_ns = decode_header(message.message).stamp_ns
         try:
-            frame = decode_frame(message.message, None, rectified=False, encoding=encoding)
+            frame = decode_frame(message.message, None, rectified=False, encoding=encoding, limits=limits)
         except EncodingError as error:
             yield RecordedPicture(stamp_ns, None, str(error), tuple(remarks.news([choice.remark])))
         else:

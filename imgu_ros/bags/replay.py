@@ -79,7 +79,10 @@ def replay(
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
-        targets = prepare_targets(load_target_images(parameters.targets, lambda text: warnings.add([text])), parameters)
+        targets = prepare_targets(
+            load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits),
+            parameters,
+        )
         warnings.add(bag.warnings)
         source = FrameSource(bag, parameters)
         warnings.add(bag.warnings, source.warnings)

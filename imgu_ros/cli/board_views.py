@@ -218,7 +218,7 @@ def _other_size(kept: list[Image], board: Chessboard, on_trial: Callable[[int, i
 def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None) -> Iterator[_Picture]:
     for path in files:
         try:
-            file = read_image_file(path)
+            file = read_image_file(path, limits=parameters.limits)
             layout = picture_layout(path, file.pixels, pattern, parameters.raw.encoding)
             yield replace(_developed(str(path), RawImage(file.pixels, layout), parameters), notes=file.notes)
         except FileError as error:
@@ -227,7 +227,9 @@ def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None
 
 def _of_bag(bags: Sequence[Path], parameters: Parameters) -> Iterator[_Picture]:
     with open_bag(bags, limits=parameters.limits) as bag:
-        for picture in recorded_pictures(bag, parameters.image_topic, parameters.raw.encoding):
+        for picture in recorded_pictures(
+            bag, parameters.image_topic, parameters.raw.encoding, limits=parameters.limits
+        ):
             name = f"{picture.stamp_ns / 1e9:.3f} s"
             if picture.image is None:
                 yield _Picture(name, None, picture.reason, picture.remarks)

@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = _parameters(arguments)
     if not (arguments.pattern or parameters.raw.encoding):
         raise ParameterError("--pattern: none; need the mosaic's, such as --pattern rggb")
-    raw = _read_raw(arguments)
+    raw = _read_raw(arguments, parameters)
     from imgu_ros.cli.picture_layout import picture_layout
     from imgu_ros.files.images import write_image
     from imgu_ros.vision.formation.demosaic import demosaic
@@ -84,7 +84,7 @@ def _parameters(arguments: argparse.Namespace) -> Parameters:
     return parameters_from(given, parameters_of(arguments))
 
 
-def _read_raw(arguments: argparse.Namespace) -> Image:
+def _read_raw(arguments: argparse.Namespace, parameters: Parameters) -> Image:
     headerless = (arguments.width, arguments.height, arguments.dtype)
     if any(value is not None for value in headerless):
         if any(value is None for value in headerless):
@@ -95,7 +95,7 @@ def _read_raw(arguments: argparse.Namespace) -> Image:
     from imgu_ros.files.images import read_image_file
 
     try:
-        file = read_image_file(arguments.input)
+        file = read_image_file(arguments.input, limits=parameters.limits)
     except FileError as error:
         if "not an image" not in str(error):
             raise

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
-    file = read_image_file(arguments.input, upright=True)
+    file = read_image_file(arguments.input, upright=True, limits=parameters.limits)
     image = file.pixels
     for note in file.notes:
         warn(f"{arguments.input}: {note}")

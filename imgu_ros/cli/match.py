@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.perception.size_checks import SizeChecks
     from imgu_ros.perception.targets import prepare_targets
 
-    targets = prepare_targets(load_target_images(parameters.targets, warn), parameters)
+    targets = prepare_targets(load_target_images(parameters.targets, warn, limits=parameters.limits), parameters)
     frame = _frame(arguments, parameters)
     if arguments.warp:
         _check_warp(arguments.warp, frame)
@@ -231,7 +231,7 @@ def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
     from imgu_ros.perception.frame import Frame
     from imgu_ros.vision.formation.layout import RawImage
 
-    file = read_image_file(arguments.image)
+    file = read_image_file(arguments.image, limits=parameters.limits)
     pixels = file.pixels
     for note in file.notes:
         warn(f"{arguments.image}: {note}")

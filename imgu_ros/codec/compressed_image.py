@@ -14,15 +14,17 @@ from imgu_ros.codec.encodings import Encoding, encoding_named, is_image_encoding
 from imgu_ros.codec.factory import MessageFactory
 from imgu_ros.codec.header import Header, header_message
 from imgu_ros.codec.image import data_bytes
+from imgu_ros.codec.picture_cost import FileKind
 from imgu_ros.codec.picture_decoding import decode_picture_file
-from imgu_ros.codec.picture_files import FileKind, is_picture_file
+from imgu_ros.codec.picture_files import is_picture_file
 from imgu_ros.errors import EncodingError
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.shown_text import NAME_CHARACTERS
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 
-def decode_compressed_image(message: Any, encoding: str = "") -> RawImage:
+def decode_compressed_image(message: Any, encoding: str = "", *, limits: LimitsParameters = DEFAULT_LIMITS) -> RawImage:
     """Decompress a sensor_msgs/CompressedImage: JPEG, or PNG of 8 or 16 bit.
 
     The data say themselves whether they are JPEG or PNG. The format string says what the picture was made from, as
@@ -36,12 +38,12 @@ def decode_compressed_image(message: Any, encoding: str = "") -> RawImage:
     ----------
     message : sensor_msgs/CompressedImage
     encoding : what the picture was made from, instead of what the format says; empty: what it says
+    limits : what decoding may cost
 
     Raises
     ------
     EncodingError
-        If the data are neither JPEG nor PNG, cut, damaged, of more than 2**28 pixels, or do not fit the format or
-        `encoding`.
+        If the data are neither JPEG nor PNG, cut, damaged, beyond the limits, or do not fit the format or `encoding`.
     """
     data = data_bytes(message)
     # Nothing but the start of an endless one is looked at.
@@ -49,7 +51,7 @@ def decode_compressed_image(message: Any, encoding: str = "") -> RawImage:
     if not is_picture_file(data):
         raise EncodingError(f"compressed image: {_why_no_picture(data, text)}")
     try:
-        picture = decode_picture_file(data)
+        picture = decode_picture_file(data, limits)
     except EncodingError as error:
         raise EncodingError(f"compressed image: {error}") from None
     pixels = picture.pixels

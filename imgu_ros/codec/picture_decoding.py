@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from imgu_ros.codec.picture_cost import PictureFile
 from imgu_ros.codec.picture_files import check_picture_file
 from imgu_ros.errors import EncodingError
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.types import Image
 
 
@@ -33,7 +35,9 @@ class DecodedPicture:
     remark: str = ""
 
 
-def decode_picture_file(data: NDArray[np.uint8]) -> DecodedPicture:
+def decode_picture_file(
+    data: NDArray[np.uint8], limits: LimitsParameters = DEFAULT_LIMITS, pixel_bytes: int = 0
+) -> DecodedPicture:
     """Decode a JPEG or PNG file: with alpha, and not turned by an orientation tag.
 
     A JPEG without an end marker, as some cameras send it, is decoded when its picture is complete: whatever is put
@@ -42,20 +46,49 @@ def decode_picture_file(data: NDArray[np.uint8]) -> DecodedPicture:
     Parameters
     ----------
     data : (N,) the file
+    limits : what decoding may cost
+    pixel_bytes : bytes that the caller will need for each pixel
 
     Raises
     ------
     EncodingError
-        If the data are no JPEG or PNG, cut, or damaged.
+        If the data are no JPEG or PNG, cut, damaged, or cost more than the limits allow.
     """
-    if check_picture_file(data).has_end:
-        return DecodedPicture(_decoded(data))
+    checked = check_picture_file(data, limits, pixel_bytes)
+    if checked.file.has_end:
+        return DecodedPicture(decode_checked(checked.data, checked.file))
     content = _without_padding(data.tobytes())
     with _STDERR, _without_messages():
-        ended, continued = (_decoded(np.frombuffer(content + tail + _END, np.uint8)) for tail in (b"", _more(content)))
-    if not np.array_equal(ended, continued):
+        ended, continued = (
+            decode_checked(np.frombuffer(content + tail + _END, np.uint8), checked.file)
+            for tail in (b"", _more(content))
+        )
+    # Row by row: at once, it would take as much memory again.
+    if not all(map(np.array_equal, ended, continued)):
         raise EncodingError(f"JPEG cut after {len(data)} bytes; need the whole file")
     return DecodedPicture(ended, "JPEG without its end marker (ff d9), read as if it were there")
+
+
+def decode_checked(data: NDArray[np.uint8], file: PictureFile) -> Image:
+    """Decode a file whose structure was checked; the picture must be of the size that the structure says.
+
+    Raises
+    ------
+    EncodingError
+        If it does not decode, or to another size.
+    """
+    try:
+        # Unchanged: with alpha, and not turned.
+        pixels: Image | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        cause = " ".join((error.err or "damaged data").split())
+        raise EncodingError(f"{cause}; need a {file.kind.upper()} that decodes") from None
+    if pixels is None or pixels.size == 0:
+        raise EncodingError(f"{len(data)} bytes that do not decode; need a {file.kind.upper()} that does")
+    if pixels.shape[:2] != (file.height, file.width) or pixels.itemsize > file.value_bytes:
+        got = f"{pixels.shape[1]} x {pixels.shape[0]} px of {8 * pixels.itemsize} bits"
+        raise EncodingError(f"{file.kind.upper()} of {file.width} x {file.height} px decodes to {got}; need the former")
+    return pixels
 
 
 _END = b"\xff\xd9"
@@ -82,17 +115,6 @@ def _without_padding(content: bytes) -> bytes:
     if len(content) - len(stripped) >= _PADDING:
         content = stripped + b"\0" if stripped.endswith(b"\xff") else stripped  # ff 00 is a byte of the picture
     return content.rstrip(b"\xff")
-
-
-def _decoded(data: NDArray[np.uint8]) -> Image:
-    try:
-        pixels: Image | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        cause = " ".join((error.err or "damaged data").split())
-        raise EncodingError(f"{cause}; need a JPEG or PNG that decodes") from None
-    if pixels is None or pixels.size == 0:
-        raise EncodingError(f"{len(data)} bytes that do not decode; need a JPEG or PNG that does")
-    return pixels
 
 
 @contextmanager

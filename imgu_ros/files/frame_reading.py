@@ -13,7 +13,7 @@ from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.camera_info_file import read_description
 from imgu_ros.files.target_images import expanded_path
 from imgu_ros.nearest_name import nearest_name
-from imgu_ros.params import LimitsParameters, Parameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters, Parameters
 from imgu_ros.perception.frame import Frame
 
 
@@ -27,6 +27,7 @@ class FrameReading:
     rectified : images are rectified
     encoding : what pixels are; empty: what messages say
     covariance : of the camera's numbers, row by row; empty: what is said with them
+    limits : what decoding a picture may cost
     file_camera : what `camera.info_file` says; None: camera_info counts
     """
 
@@ -34,6 +35,7 @@ class FrameReading:
     rectified: bool = False
     encoding: str = ""
     covariance: tuple[float, ...] = ()
+    limits: LimitsParameters = DEFAULT_LIMITS
     file_camera: CameraDescription | None = None
 
     def frame(self, image_message: Any, camera_info_message: Any | None) -> Frame:
@@ -45,6 +47,7 @@ class FrameReading:
             rectified=self.rectified,
             encoding=self.encoding,
             covariance=self.covariance,
+            limits=self.limits,
         )
 
     def camera(self, camera_info_message: Any | None, image_size: tuple[int, int] | None) -> CameraReading:
@@ -89,9 +92,9 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
 
 
 def check_change(parameters: Parameters, before: Parameters) -> None:
-    """Raise what `frame_reading` would; another encoding alone has nothing to do with the camera's file."""
+    """Raise what `frame_reading` would; other encodings and limits have nothing to do with the camera's file."""
     wanted, was = as_read(parameters), as_read(before)
-    if wanted == replace(was, encoding=wanted.encoding):
+    if wanted == replace(was, encoding=wanted.encoding, limits=wanted.limits):
         check_encoding(wanted.encoding)
     else:
         frame_reading(parameters)
@@ -100,7 +103,9 @@ def check_change(parameters: Parameters, before: Parameters) -> None:
 def as_read(parameters: Parameters) -> FrameReading:
     """Return what the parameters say of frames, without the file's content."""
     camera = parameters.camera
-    return FrameReading(camera.info_file, camera.rectified, parameters.raw.encoding, camera.covariance)
+    return FrameReading(
+        camera.info_file, camera.rectified, parameters.raw.encoding, camera.covariance, parameters.limits
+    )
 
 
 def check_encoding(name: str) -> None:

@@ -12,21 +12,23 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgu_ros.codec.picture_decoding import decode_picture_file
+from imgu_ros.codec.picture_cost import check_cost, check_memory
+from imgu_ros.codec.picture_decoding import decode_checked, decode_picture_file
 from imgu_ros.codec.picture_files import is_picture_file
 from imgu_ros.errors import EncodingError, FileError, ShapeError
 from imgu_ros.files.picture_tags import (
     UPRIGHT,
     ExtraSample,
     PictureTags,
-    as_stored,
-    is_tiff,
     picture_tags,
     turned_upright,
 )
 from imgu_ros.files.pnm import decode_pnm, encode_pnm, is_pnm
-from imgu_ros.files.transparency import composed, split_alpha
+from imgu_ros.files.structures import check_structure
+from imgu_ros.files.tiff_structure import is_tiff
+from imgu_ros.files.transparency import compose, split_alpha
 from imgu_ros.files.whole_files import write_whole
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.types import Image, as_image
 
 #: What each kind of file can hold: (number of channels, data types).
@@ -44,7 +46,6 @@ _WRITABLE: dict[str, tuple[tuple[int, ...], tuple[type, ...]]] = {
 #: Suffixes that `write_image` knows.
 RASTER_SUFFIXES = tuple(_WRITABLE)
 _PNM = (".pbm", ".pgm", ".ppm", ".pnm")
-_NEED = "need a PNM, PNG, TIFF or JPEG"
 _READABLE_DTYPES = (np.uint8, np.uint16, np.float32)
 #: The note about a picture with transparency.
 COMPOSED = "transparent: composed on white"
@@ -67,12 +68,14 @@ class ImageFile:
     alpha: Image | None = None
 
 
-def read_image(path: Path | str, *, upright: bool = False) -> Image:
+def read_image(path: Path | str, *, upright: bool = False, limits: LimitsParameters = DEFAULT_LIMITS) -> Image:
     """Return the pixels of an image file; see `read_image_file`."""
-    return read_image_file(path, upright=upright).pixels
+    return read_image_file(path, upright=upright, limits=limits).pixels
 
 
-def read_image_file(path: Path | str, *, upright: bool = False) -> ImageFile:
+def read_image_file(
+    path: Path | str, *, upright: bool = False, limits: LimitsParameters = DEFAULT_LIMITS, pixel_bytes: int = 0
+) -> ImageFile:
     """Read an image file at its own depth.
 
     Values are those of the file, never scaled: a PGM of maxval 4095 gives 0 to 4095. A bitmap has 0 and 255. A picture
@@ -80,35 +83,24 @@ def read_image_file(path: Path | str, *, upright: bool = False) -> ImageFile:
 
     Parameters
     ----------
-    path : PBM, PGM, PPM (plain or binary), PNG, TIFF, JPEG, or what else this OpenCV decodes; the content counts, not
-        the suffix
+    path : PBM, PGM, PPM (plain or binary), PNG, TIFF, JPEG, BMP or WebP; the content counts, not the suffix
     upright : turn the picture as its orientation tag (Exif, TIFF) says, for pictures to be looked at. False: pixels
         stay as they were read out, for a camera's model or a Bayer pattern belongs to them
+    limits : what decoding may cost
+    pixel_bytes : bytes that the caller will need for each pixel
 
     Raises
     ------
     FileError
-        If the file is missing, empty, no image, cut, damaged, of another depth, or a TIFF of grey and alpha.
+        If the file is missing, empty, no image, cut, damaged, of another depth, a TIFF of grey and alpha, or beyond
+        the limits.
     """
     path = Path(path)
-    content = _content(path)
-    if is_pnm(content):
-        try:
-            return ImageFile(decode_pnm(content))
-        except EncodingError as error:
-            raise FileError(f"{path}: {error}") from None
-    tags = picture_tags(content)
-    if is_tiff(content) and tags.grey_with_alpha:  # decoders lose alpha, and depth
-        raise FileError(f"{path}: a TIFF of grey and alpha; need it without transparency, or as a PNG")
-    pixels = _decoded(path, as_stored(content))
-    if pixels.dtype not in [np.dtype(dtype) for dtype in _READABLE_DTYPES]:
-        raise FileError(f"{path}: data type {pixels.dtype}; need uint8, uint16 or float32")
-    if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):
-        raise FileError(f"{path}: {pixels.shape[2]} channels; need 1, 3 or 4")
-    # libtiff multiplies the colours of 8 bits by an alpha that stands beside them.
-    premultiplied = is_tiff(content) and pixels.dtype == np.uint8 and tags.extra is ExtraSample.STRAIGHT
-    file = _opaque(pixels, replace(tags, extra=ExtraSample.PREMULTIPLIED) if premultiplied else tags)
-    return _oriented(file, tags.orientation, upright)
+    try:
+        file, orientation = _decoded(_content(path, limits), limits, pixel_bytes)
+    except EncodingError as error:
+        raise FileError(f"{path}: {error}") from None
+    return _oriented(file, orientation, upright)
 
 
 def write_image(path: Path | str, pixels: Image, *, plain: bool = False, quality: int = 95) -> None:
@@ -202,33 +194,41 @@ def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dt
     return native
 
 
-def _decoded(path: Path, content: bytes) -> Image:
-    # Not cv2.imread: it says nothing about why it fails.
-    encoded = np.frombuffer(content, np.uint8)
+def _decoded(content: bytes, limits: LimitsParameters, pixel_bytes: int) -> tuple[ImageFile, int]:
+    """Return the picture of a file, opaque and not turned, and its orientation."""
+    if is_pnm(content):
+        return ImageFile(decode_pnm(content, limits, pixel_bytes)), UPRIGHT
+    encoded, is_of_libtiff = np.frombuffer(content, np.uint8), is_tiff(content)
     if is_picture_file(encoded):
-        try:
-            with _decoder_silenced():
-                return decode_picture_file(encoded).pixels
-        except EncodingError as error:
-            raise FileError(f"{path}: {error}") from None
-    try:
         with _decoder_silenced():
-            # Unchanged: with alpha, and not turned.
-            pixels: Image | None = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise FileError(f"{path}: cannot be decoded ({_reason(error)}); {_NEED}") from None
-    if pixels is None:
-        raise FileError(f"{path}: not an image ({len(encoded)} bytes); {_NEED}")
-    return pixels
+            pixels = decode_picture_file(encoded, limits, pixel_bytes).pixels
+        tags = picture_tags(content)
+    else:
+        checked = check_structure(content, limits)
+        check_cost(checked.file, limits, pixel_bytes)
+        tags = picture_tags(content)
+        del content, encoded  # a TIFF's was copied
+        with _decoder_silenced():
+            pixels = decode_checked(checked.data, checked.file)
+    if pixels.dtype not in [np.dtype(dtype) for dtype in _READABLE_DTYPES]:
+        raise EncodingError(f"data type {pixels.dtype}; need uint8, uint16 or float32")
+    if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):
+        raise EncodingError(f"{pixels.shape[2]} channels; need 1, 3 or 4")
+    if is_of_libtiff and pixels.dtype == np.uint8 and tags.extra is ExtraSample.STRAIGHT:
+        # libtiff multiplies the colours of 8 bits by an alpha that stands beside them.
+        tags = replace(tags, extra=ExtraSample.PREMULTIPLIED)
+    return _opaque(pixels, tags), tags.orientation
 
 
 def _opaque(pixels: Image, tags: PictureTags) -> ImageFile:
     """Return decoded pixels in RGB, composed on white where they are transparent."""
-    ordered = pixels if pixels.ndim == 2 else _swapped(pixels)
-    color, alpha = split_alpha(ordered, tags)
+    if pixels.ndim == 3:
+        _swap(pixels)
+    color, alpha = split_alpha(pixels, tags)
     if alpha is None:
         return ImageFile(color)
-    return ImageFile(composed(color, alpha, tags.extra), (COMPOSED,), alpha)
+    compose(color, alpha, tags.extra)
+    return ImageFile(color, (COMPOSED,), alpha)
 
 
 def _oriented(file: ImageFile, orientation: int, upright: bool) -> ImageFile:
@@ -271,7 +271,9 @@ def _encoded(path: Path, suffix: str, pixels: Image, plain: bool, quality: int) 
         ".tiff": [cv2.IMWRITE_TIFF_COMPRESSION, _LZW],
     }.get(suffix, [])
     try:
-        done, encoded = cv2.imencode(suffix, pixels if pixels.ndim == 2 else _swapped(pixels), options)
+        done, encoded = cv2.imencode(
+            suffix, pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), options
+        )
     except cv2.error as error:
         raise FileError(f"{path}: cannot be encoded ({_reason(error)})") from None
     if not done:
@@ -290,11 +292,14 @@ def _raw_dtype(path: Path, dtype: str | np.dtype[np.generic]) -> np.dtype[np.gen
     return stored.newbyteorder("<") if stored.byteorder == "=" else stored
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> bytes:
     if path.exists() and not path.is_file():  # reading a pipe or a device might never end
         raise FileError(f"{path}: {'a folder' if path.is_dir() else 'no regular file'}; need an image file")
     try:
+        check_memory(path.stat().st_size, "its size", limits)
         content = path.read_bytes()
+    except EncodingError as error:
+        raise FileError(f"{path}: {error}") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}; need an image file") from None
     if not content:
@@ -302,11 +307,14 @@ def _content(path: Path) -> bytes:
     return content
 
 
-def _swapped(pixels: Image) -> Image:
-    """Swap red and blue, between our RGB(A) and OpenCV's BGR(A)."""
+def _swap(pixels: Image) -> None:
+    """Swap red and blue in place, some rows at a time."""
     code = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
-    swapped: Image = cv2.cvtColor(pixels, code)
-    return swapped
+    for top in range(0, len(pixels), _STRIP_ROWS):
+        pixels[top : top + _STRIP_ROWS] = cv2.cvtColor(pixels[top : top + _STRIP_ROWS], code)
+
+
+_STRIP_ROWS = 64
 
 
 def _reason(error: cv2.error) -> str:

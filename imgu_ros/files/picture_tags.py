@@ -14,17 +14,20 @@ from enum import StrEnum
 
 import numpy as np
 
+from imgu_ros.files.tiff_structure import BYTE_ORDERS
 from imgu_ros.types import Image
 
 #: The orientation of a picture whose first row is its top, and whose first column is its left side.
 UPRIGHT = 1
-_ORIENTATION, _SAMPLES, _EXTRA_SAMPLES = 0x0112, 0x0115, 0x0152
+_ORIENTATION, _EXTRA_SAMPLES = 0x0112, 0x0152
 _EXIF = b"Exif\0\0"
 _PNG, _JPEG, _WEBP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"WEBP"
 _START_OF_SCAN = 0xDA
-#: Sizes of TIFF's unsigned integer types: BYTE, SHORT, LONG, LONG8.
+#: struct's letters for TIFF's unsigned integer types: BYTE, SHORT, LONG, LONG8.
 _INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _GREY, _GREY_ALPHA = 0, 4
+#: What a file has more of is not looked at.
+_MOST_TAGS, _MOST_CHUNKS = 4096, 200_000
 
 
 class ExtraSample(StrEnum):
@@ -45,7 +48,7 @@ class PictureTags:
     orientation : 1 to 8, as Exif and TIFF number them; 1: as stored, also when the file says nothing
     extra : what a fourth channel is
     clear_grey : the grey value that means transparent, and the largest that the file can hold; None: none does
-    grey_with_alpha : the file holds grey and alpha; decoders may give red, green and blue
+    grey_with_alpha : a PNG holds grey and alpha; decoders give red, green and blue
     """
 
     orientation: int = UPRIGHT
@@ -70,7 +73,6 @@ def picture_tags(content: bytes) -> PictureTags:
     return PictureTags(
         _valid(fields[_ORIENTATION].value if _ORIENTATION in fields else UPRIGHT),
         kinds.get(None if extra is None else extra.value, ExtraSample.OTHER),
-        grey_with_alpha=_SAMPLES in fields and fields[_SAMPLES].value == 2,
     )
 
 
@@ -89,49 +91,29 @@ def turned_upright(pixels: Image, orientation: int) -> Image:
     return np.ascontiguousarray(pixels.swapaxes(0, 1) if orientation >= 5 else pixels)
 
 
-def is_tiff(content: bytes) -> bool:
-    """Return whether the bytes begin as a TIFF or BigTIFF file does."""
-    return content[:4] in _BYTE_ORDERS
-
-
-def as_stored(content: bytes) -> bytes:
-    """Return a TIFF file with its orientation tag set to 1, so that no decoder turns it."""
-    for field in _fields(content):
-        if field.tag == _ORIENTATION and field.value != UPRIGHT:
-            one = struct.pack(field.form, UPRIGHT)
-            return content[: field.position] + one + content[field.position + len(one) :]
-    return content
-
-
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """An unsigned integer in a directory of TIFF: its tag, its first value, and where and how that is stored."""
+    """An unsigned integer in a directory of TIFF: its tag and its first value."""
 
     tag: int
     value: int
-    position: int
-    form: str
-
-
-#: Byte order, and whether it is a BigTIFF, by the first four bytes.
-_BYTE_ORDERS = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
 
 
 def _fields(content: bytes) -> Iterator[_Field]:
     """Yield the unsigned integers of a TIFF's first directory whose values lie in the directory itself."""
-    order, big = _BYTE_ORDERS.get(content[:4], ("", False))
+    order, big = BYTE_ORDERS.get(content[:4], ("", False))
     if not order:
         return
     try:
         offset = struct.unpack_from(order + ("8xQ" if big else "4xI"), content)[0]
         count = struct.unpack_from(order + ("Q" if big else "H"), content, offset)[0]
         start, size, value_at = (offset + 8, 20, 12) if big else (offset + 2, 12, 8)
-        for position in range(start, min(start + size * count, len(content)), size):
+        for position in range(start, min(start + size * min(count, _MOST_TAGS), len(content)), size):
             tag, kind = struct.unpack_from(order + "HH", content, position)
             values = struct.unpack_from(order + ("Q" if big else "I"), content, position + 4)[0]
             if kind in _INTEGERS and values * struct.calcsize(order + _INTEGERS[kind]) <= size - value_at:
                 form = order + _INTEGERS[kind]
-                yield _Field(tag, struct.unpack_from(form, content, position + value_at)[0], position + value_at, form)
+                yield _Field(tag, struct.unpack_from(form, content, position + value_at)[0])
     except (struct.error, OverflowError):  # the latter where a BigTIFF gives a place beyond all files
         return  # cut: what was read so far counts
 
@@ -153,7 +135,9 @@ def _png_tags(content: bytes) -> PictureTags:
 def _chunks(content: bytes, position: int, form: str) -> Iterator[tuple[bytes, bytes]]:
     """Yield name and content of the chunks of a PNG (checksums follow) or a RIFF file (padded to even sizes)."""
     riff = form.startswith("<")
-    while position + 8 <= len(content):
+    for _ in range(_MOST_CHUNKS):
+        if position + 8 > len(content):
+            return
         first, second = struct.unpack_from(form, content, position)
         name, length = (first, second) if riff else (second, first)
         yield name, content[position + 8 : position + 8 + length]

@@ -12,8 +12,9 @@ import re
 
 import numpy as np
 
-from imgu_ros.codec.picture_files import MAX_PIXELS
+from imgu_ros.codec.picture_cost import PictureFile, check_cost, check_passes
 from imgu_ros.errors import EncodingError, ShapeError
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.types import Image, as_image
 
 _GAP = rb"(?:[ \t\r\n\v\f]|#[^\r\n]*[\r\n])+"
@@ -23,6 +24,11 @@ _MAXVAL = re.compile(_GAP + _NUMBER)
 #: The one character between header and pixels, or a comment at once; after a space, # is the first pixel.
 _END_OF_HEADER = re.compile(rb"#[^\r\n]*[\r\n]|[ \t\r\n\v\f]")
 _COMMENT = re.compile(rb"#[^\r\n]*")
+_END_OF_LINE = re.compile(rb"[\r\n]")
+_SPACES = b" \t\r\n\v\f"
+_PLAIN_NUMBERS = re.compile(rb"[0-9 \t\r\n\v\f]*")
+#: Text is read in pieces of about so many bytes; a byte costs as much time as so many pixels.
+_PIECE, _TEXT_PX = 2**20, 16
 
 
 def is_pnm(content: bytes) -> bool:
@@ -30,12 +36,14 @@ def is_pnm(content: bytes) -> bool:
     return re.match(rb"P[1-6][ \t\r\n\v\f#]", content) is not None
 
 
-def decode_pnm(content: bytes) -> Image:
+def decode_pnm(content: bytes, limits: LimitsParameters = DEFAULT_LIMITS, pixel_bytes: int = 0) -> Image:
     """Decode the first image of a PNM file.
 
     Parameters
     ----------
     content : the file
+    limits : what decoding may cost
+    pixel_bytes : bytes that the caller will need for each pixel
 
     Returns
     -------
@@ -45,7 +53,7 @@ def decode_pnm(content: bytes) -> Image:
     Raises
     ------
     EncodingError
-        If the header is none, the size is 0 or beyond `MAX_PIXELS`, the data are cut, or a value exceeds maxval.
+        If the header is none, the size is 0 or beyond the limits, the data are cut, or a value exceeds maxval.
 
     Examples
     --------
@@ -62,20 +70,18 @@ def decode_pnm(content: bytes) -> Image:
         if found is None or not 1 <= int(found[1]) <= 65535:
             raise EncodingError(f"PNM: maxval {content[position : position + 12]!r}; need 1 to 65535")
         position, maxval = found.end(), int(found[1])
-    if not 1 <= width * height <= MAX_PIXELS:
-        raise EncodingError(f"PNM: {width} x {height} px; need 1 to {MAX_PIXELS} pixels")
-    shape = (height, width, 3) if kind in (3, 6) else (height, width)
+    channels = 3 if kind in (3, 6) else 1
+    dtype = np.uint16 if maxval > 255 else np.uint8
+    check_cost(PictureFile("pnm", width, height, channels, np.dtype(dtype).itemsize, len(content)), limits, pixel_bytes)
+    shape = (height, width, 3) if channels == 3 else (height, width)
     if kind == 4:
         return _bitmap(content, position, shape)
     if kind <= 3:
-        values = _plain(content[position:], shape, bitmap=kind == 1)
-    else:
-        values = _binary(content, position, shape, ">u2" if maxval > 255 else "u1")
+        return _plain(content, position, np.empty(shape, dtype), maxval, limits)
+    values = _binary(content, position, shape, ">u2" if maxval > 255 else "u1")
     if int(values.max()) > maxval:
-        raise EncodingError(f"PNM: value {values.max()}; need at most the maxval of {maxval}")
-    if kind == 1:
-        return np.where(values == 1, 0, 255).astype(np.uint8)
-    return values.astype(np.uint16 if maxval > 255 else np.uint8)
+        raise _too_large(int(values.max()), maxval)
+    return values.astype(dtype)
 
 
 def encode_pnm(pixels: Image, *, plain: bool = False, bitmap: bool = False) -> bytes:
@@ -123,27 +129,67 @@ def _binary(content: bytes, position: int, shape: tuple[int, ...], dtype: str) -
 def _bitmap(content: bytes, position: int, shape: tuple[int, ...]) -> Image:
     """Decode rows of bits, each filled up to whole bytes."""
     rows = _binary(content, position, (shape[0], (shape[1] + 7) // 8), "u1")
-    bits = np.unpackbits(rows, axis=1, count=shape[1])
-    return np.where(bits == 1, 0, 255).astype(np.uint8)
+    values = np.unpackbits(rows, axis=1, count=shape[1])
+    values -= 1  # 0 becomes 255, without memory for another picture
+    return values
 
 
-def _plain(text: bytes, shape: tuple[int, ...], *, bitmap: bool) -> Image:
-    text = _COMMENT.sub(b" ", text)
-    # The digits of a bitmap may stand side by side.
-    tokens = b"".join(text.split()) if bitmap else text.split(None, math.prod(shape))
-    wanted = tokens[: math.prod(shape)]
-    if len(wanted) < math.prod(shape):
-        raise EncodingError(f"PNM: {len(wanted)} values; need {math.prod(shape)}")
-    values: Image
-    if isinstance(wanted, bytes):
-        values = np.frombuffer(wanted, np.uint8) - np.uint8(ord("0"))
-    elif all(token.isdigit() and len(token) <= 10 for token in wanted):
-        values = np.array(wanted).astype(np.int64)
-    else:
-        raise EncodingError("PNM: something else than numbers among the values; need decimal digits")
-    if bitmap and values.max() > 1:
-        raise EncodingError("PNM: something else than 0 and 1 in a bitmap; need these alone")
-    return values.reshape(shape)
+def _plain(content: bytes, start: int, out: Image, maxval: int, limits: LimitsParameters) -> Image:
+    """Read numbers, or the digits of a bitmap, into `out`, piece by piece."""
+    is_bitmap = content[:2] == b"P1"
+    flat, filled, position = out.reshape(-1), 0, start
+    while filled < flat.size and position < len(content):
+        end = _end_of_piece(content, position)
+        check_passes(_TEXT_PX * (end - start), f"PNM of {end - start} bytes of text", limits)
+        piece, position = content[position:end], end
+        if b"#" in piece:
+            piece = _COMMENT.sub(b" ", piece)
+        values = (_digits if is_bitmap else _numbers)(piece, flat.size - filled)
+        if values.size and int(values.max()) > maxval:
+            if is_bitmap:
+                raise EncodingError("PNM: something else than 0 and 1 in a bitmap; need these alone")
+            raise _too_large(int(values.max()), maxval)
+        flat[filled : filled + values.size] = values
+        filled += values.size
+    if filled < flat.size:
+        raise EncodingError(f"PNM: {filled} values; need {flat.size}")
+    if is_bitmap:
+        flat -= 1  # black, 1, becomes 0 and 0 becomes 255
+    return out
+
+
+def _end_of_piece(content: bytes, position: int) -> int:
+    """Return where a piece of text ends, between numbers and behind comments."""
+    end = position + _PIECE
+    if end >= len(content):
+        return len(content)
+    comment = content.rfind(b"#", position, end)
+    if comment >= 0 and not _END_OF_LINE.search(content, comment, end):
+        found = _END_OF_LINE.search(content, end)
+        return len(content) if found is None else found.end()
+    last = max(content.rfind(_SPACES[i : i + 1], position, end) for i in range(len(_SPACES)))
+    return end if last < 0 else last + 1
+
+
+def _digits(piece: bytes, most: int) -> Image:
+    """Return the values of digits that may stand side by side."""
+    digits = piece.translate(None, _SPACES)
+    return np.frombuffer(digits, np.uint8, min(most, len(digits))) - np.uint8(ord("0"))
+
+
+def _numbers(piece: bytes, most: int) -> Image:
+    if not _PLAIN_NUMBERS.fullmatch(piece):  # what follows the picture may be anything
+        tokens = piece.split(None, most)[:most]
+        if not all(token.isdigit() for token in tokens):
+            raise EncodingError("PNM: something else than numbers among the values; need decimal digits")
+        piece = b" ".join(tokens)
+    # A number beyond all bounds becomes the largest, which exceeds every maxval.
+    values: Image = np.fromstring(piece.decode("ascii"), np.int64, sep=" ")[:most]
+    return values
+
+
+def _too_large(value: int, maxval: int) -> EncodingError:
+    return EncodingError(f"PNM: value {value}; need at most the maxval of {maxval}")
 
 
 def _text(values: Image) -> bytes:

@@ -15,12 +15,14 @@ import numpy as np
 
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.images import read_image_file
-from imgu_ros.params import TargetsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters, TargetsParameters
 from imgu_ros.perception.targets import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
 
 _MIN_SIDE_PX = 16
+#: Memory that a chain takes to prepare a target, for each of its pixels (measured with default methods).
+_PIXEL_BYTES = 25
 #: Grey values between the darkest and the brightest pixel below which a picture has nothing to find.
 _MIN_CONTRAST = 8
 #: The note about a picture whose colour is the paper's.
@@ -31,7 +33,10 @@ _TOKEN = re.compile(r"[A-Za-z](?!\w*__)\w*", re.ASCII)
 
 
 def load_target_images(
-    targets: TargetsParameters, on_warning: Callable[[str], None] = lambda text: None
+    targets: TargetsParameters,
+    on_warning: Callable[[str], None] = lambda text: None,
+    *,
+    limits: LimitsParameters = DEFAULT_LIMITS,
 ) -> tuple[TargetImage, ...]:
     """Read the target pictures: upright, as their orientation tags say, and on white where they are transparent.
 
@@ -40,6 +45,7 @@ def load_target_images(
     targets : `images` with `~` and `$VARIABLES` expanded; a width left out is 0 (unknown), a name left out is the
         file's stem made a valid ROS name
     on_warning : called for each thing the user should know
+    limits : what decoding a picture, and preparing a target of it, may cost
 
     Returns
     -------
@@ -57,7 +63,7 @@ def load_target_images(
     _refuse_collisions(names, paths)
     widths = targets.widths_m or (0.0,) * len(paths)
     return tuple(
-        TargetImage(name, _target_pixels(path, on_warning), float(width))
+        TargetImage(name, _target_pixels(path, on_warning, limits), float(width))
         for name, path, width in zip(names, paths, widths, strict=True)
     )
 
@@ -111,8 +117,8 @@ def _refuse_collisions(names: list[str], paths: list[Path]) -> None:
         seen[name] = path
 
 
-def _target_pixels(path: Path, on_warning: Callable[[str], None]) -> Image:
-    file = read_image_file(path, upright=True)
+def _target_pixels(path: Path, on_warning: Callable[[str], None], limits: LimitsParameters) -> Image:
+    file = read_image_file(path, upright=True, limits=limits, pixel_bytes=_PIXEL_BYTES)
     pixels, notes = _as_8_bit(file.pixels), file.notes
     if file.alpha is not None and _contrast(pixels) < _MIN_CONTRAST:
         # A white shape on nothing: its form is in the alpha channel alone.
@@ -143,4 +149,7 @@ def _as_8_bit(pixels: Image) -> Image:
     if pixels.dtype == np.uint16:
         full_scale = float(2 ** max(8, int(pixels.max()).bit_length()) - 1)
         return cv2.convertScaleAbs(pixels, alpha=255 / full_scale)
-    return np.asarray(np.rint(np.clip(np.nan_to_num(pixels), 0, 1) * 255), np.uint8)
+    scaled = np.empty(pixels.shape, np.uint8)
+    for row, values in zip(scaled, pixels, strict=True):
+        row[:] = np.rint(np.clip(np.nan_to_num(values), 0, 1) * 255)
+    return scaled

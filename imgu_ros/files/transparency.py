@@ -10,27 +10,34 @@ from imgu_ros.types import Image
 from imgu_ros.vision.processing.points import full_scale
 
 
-def composed(color: Image, alpha: Image, kind: ExtraSample = ExtraSample.STRAIGHT) -> Image:
-    """Return a picture on white, in the file's own values as viewers compose (not in linear light).
+def compose(color: Image, alpha: Image, kind: ExtraSample = ExtraSample.STRAIGHT) -> None:
+    """Put a picture on white, in place, in the file's own values as viewers compose (not in linear light).
 
     Parameters
     ----------
-    color : (H, W) or (H, W, 3) uint8, uint16, or float32 of full scale 1
+    color : (H, W) or (H, W, 3) uint8, uint16, or float32 of full scale 1; opaque pixels keep their values
     alpha : (H, W) of the same data type; 0: transparent, full scale: opaque
     kind : whether the colours were multiplied by alpha already
-
-    Returns
-    -------
-    Like `color`; opaque pixels keep their values.
     """
+    # Some rows at a time: in float64 the whole picture would take eight times its memory.
+    for top in range(0, len(color), _STRIP_ROWS):
+        rows = slice(top, top + _STRIP_ROWS)
+        color[rows] = _composed(color[rows], alpha[rows], kind)
+
+
+_STRIP_ROWS = 64
+
+
+def _composed(color: Image, alpha: Image, kind: ExtraSample) -> Image:
     full = full_scale(color.dtype)
-    opacity = np.clip(np.asarray(alpha, np.float64) / full, 0.0, 1.0)
+    dtype = np.float32 if color.dtype == np.uint8 else np.float64  # what products of two values need
+    opacity = np.clip(np.asarray(alpha, dtype) / dtype(full), 0, 1)
     if color.ndim == 3:
         opacity = opacity[:, :, None]
-    values = np.asarray(color, np.float64)
-    under = (1.0 - opacity) * full
+    values = np.asarray(color, dtype)
+    under = (1 - opacity) * dtype(full)
     if kind is ExtraSample.PREMULTIPLIED:
-        out = np.minimum(values, full * opacity) + under
+        out = np.minimum(values, dtype(full) * opacity) + under
     else:
         out = np.where(opacity == 0, under, values * opacity + under)  # whatever a transparent pixel holds, NaN too
     return np.asarray(out if color.dtype.kind == "f" else np.rint(out), color.dtype)
@@ -49,7 +56,8 @@ def split_alpha(pixels: Image, tags: PictureTags) -> tuple[Image, Image | None]:
     if pixels.ndim == 2 and tags.clear_grey is not None:
         value, largest = tags.clear_grey
         clear = value * full // largest  # 1, 2 and 4 bits are decoded to 8
-        alpha = np.where(pixels == clear, 0, full).astype(pixels.dtype)
+        alpha = np.full_like(pixels, full)
+        alpha[pixels == clear] = 0
     elif pixels.ndim == 3 and pixels.shape[2] == 4:
         color = np.ascontiguousarray(pixels[:, :, 0] if tags.grey_with_alpha else pixels[:, :, :3])
         alpha = None if tags.extra is ExtraSample.OTHER else np.ascontiguousarray(pixels[:, :, 3])

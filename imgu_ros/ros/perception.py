@@ -77,7 +77,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
     def _load(self) -> None:
         parameters = self._server.reload()
         reading = frame_reading(parameters)
-        built = self._worker.build(load_target_images(parameters.targets, self._log_warning))
+        built = self._worker.build(load_target_images(parameters.targets, self._log_warning, limits=parameters.limits))
         self._worker.read_with(reading, parameters)
         self._adopt(built)
 
@@ -207,7 +207,9 @@ class PerceptionNode(ManagedNode[ImageInput]):
         staged = self._server.staged()
         reading = frame_reading(staged)  # the file may have changed
         built = await self._do_beside(
-            lambda: self._worker.build(load_target_images(staged.targets, self._log_warning), staged)
+            lambda: self._worker.build(
+                load_target_images(staged.targets, self._log_warning, limits=staged.limits), staged
+            )
         )
         self._require_configured()  # it may have been cleaned up meanwhile
         self._server.reload(staged)

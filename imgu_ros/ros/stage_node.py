@@ -105,7 +105,10 @@ class StageNode(ManagedNode[StageInput]):
     def _load(self) -> None:
         parameters = self._server.reload()
         self._adopt(
-            parameters, load_target_images(parameters.targets, self._log_warning) if self._stage.needs_targets else []
+            parameters,
+            load_target_images(parameters.targets, self._log_warning, limits=parameters.limits)
+            if self._stage.needs_targets
+            else [],
         )
 
     def _adopt(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
@@ -201,7 +204,9 @@ class StageNode(ManagedNode[StageInput]):
         parameters = self._server.staged()
         needs_targets = self._stage.needs_targets
         images = (
-            await self._do_beside(lambda: load_target_images(parameters.targets, self._log_warning))
+            await self._do_beside(
+                lambda: load_target_images(parameters.targets, self._log_warning, limits=parameters.limits)
+            )
             if needs_targets
             else []
         )

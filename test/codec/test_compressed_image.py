@@ -176,13 +176,13 @@ def test_what_others_write_to_stderr_meanwhile_is_not_lost(make, capfd, monkeypa
     from imgu_ros.codec import picture_decoding
 
     whole = cv2.imencode(".jpg", random_pixels((40, 40), np.uint8))[1].tobytes()
-    decode = picture_decoding._decoded
+    decode = picture_decoding.decode_checked
 
-    def decode_beside_another(data):
+    def decode_beside_another(data, file):
         os.write(2, b"another's line\n")
-        return decode(data)
+        return decode(data, file)
 
-    monkeypatch.setattr(picture_decoding, "_decoded", decode_beside_another)
+    monkeypatch.setattr(picture_decoding, "decode_checked", decode_beside_another)
     decode_compressed_image(compressed(make, whole[:-2], "jpeg"))
     assert capfd.readouterr().err == "another's line\n" * 2
 
@@ -409,7 +409,7 @@ def test_a_picture_made_to_fill_the_memory_is_refused_before_it_is_decoded(make)
     def said(height: int, width: int) -> bytes:
         return hand_made_png(np.zeros((height, width), np.uint8))
 
-    with pytest.raises(EncodingError, match=r"16000 x 16000 px in \d+ bytes; need at most 200 px for each byte"):
+    with pytest.raises(EncodingError, match=r"PNG of 16000 x 16000 px in \d+ bytes; need at least 248077"):
         decode_compressed_image(compressed(make, hand_made_png(np.zeros((9, 9), np.uint8), (16_000, 16_000)), "png"))
     assert decode_compressed_image(compressed(make, said(1500, 2000), "png")).pixels.shape == (1500, 2000)
 

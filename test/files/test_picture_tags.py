@@ -18,7 +18,8 @@ from PIL import ImageOps
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.images import read_image, read_image_file
-from imgu_ros.files.picture_tags import PictureTags, as_stored, picture_tags
+from imgu_ros.files.picture_tags import PictureTags, picture_tags
+from imgu_ros.files.webp_structure import is_decoder_safe
 
 #: Where the first row and the first column of the file are shown, Exif 2.3 table 4.6.4: what turns the file upright.
 UPRIGHT: dict[int, Callable[[np.ndarray], np.ndarray]] = {
@@ -136,9 +137,11 @@ FILES: dict[str, Callable[[int], bytes]] = {
     "behind.jpg": lambda o: jpeg(COLOR, o, before=b"\xff\xfe\0\x06note\xff\xff\xe1\0\x09http:x\0"),
     "color.webp": lambda o: webp(COLOR, o),
 }
+#: Those that this OpenCV reads.
+READABLE = [name for name in FILES if is_decoder_safe() or not name.endswith("webp")]
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", READABLE)
 @pytest.mark.parametrize("orientation", UPRIGHT)
 def test_pixels_stay_as_read_out_unless_they_are_to_be_looked_at(tmp_path, name, orientation):
     (tmp_path / name).write_bytes(FILES[name](0))
@@ -156,7 +159,7 @@ def test_pixels_stay_as_read_out_unless_they_are_to_be_looked_at(tmp_path, name,
     assert turned.notes == ()
 
 
-@pytest.mark.parametrize("name", ["color8.png", "color8.tif", "color.jpg", "color.webp"])
+@pytest.mark.parametrize("name", sorted({"color8.png", "color8.tif", "color.jpg", "color.webp"} & {*READABLE}))
 @pytest.mark.parametrize("orientation", UPRIGHT)
 def test_upright_is_what_pillow_shows(tmp_path, name, orientation):
     (tmp_path / name).write_bytes(FILES[name](orientation))
@@ -181,7 +184,6 @@ def test_damaged_tags_never_raise(name, position, damage):
     broken = data[:position] + damage + data[position + len(damage) :]
     for content in (broken, data[:position]):
         assert 1 <= picture_tags(content).orientation <= 8
-        assert len(as_stored(content)) == len(content)
 
 
 def test_what_is_no_picture_has_no_tags():
@@ -260,6 +262,10 @@ def test_transparent_palettes_and_webp(tmp_path):
     expected = on_white(opaque, share[np.array(palette)], 255)
     assert np.abs(read_image(tmp_path / "palette.png") - expected).max() <= 0.51
     Pillow.fromarray(np.dstack((COLOR, ALPHA))).save(tmp_path / "a.webp", lossless=True, exact=True)
+    if not is_decoder_safe():
+        with pytest.raises(FileError, match=r"WebP with OpenCV 4.*; need OpenCV 4.8.1 or newer"):
+            read_image(tmp_path / "a.webp")
+        return
     assert np.abs(read_image(tmp_path / "a.webp") - on_white(COLOR, ALPHA, 255)).max() <= 0.51
 
 
