@@ -8,6 +8,7 @@ import zlib
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from fuzz.corpus_entry import Entry, file_of
 from fuzz.kinds import PICTURE
@@ -60,6 +61,16 @@ def _png_size(width: int, height: int, depth: int, color: int, extra: list[Chunk
     packed = b"".join(packer.compress(row) for _ in range(height)) + packer.flush()
     header = struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)
     return png_file([(b"IHDR", header), *(extra or []), (b"IDAT", packed), (b"IEND", b"")])
+
+
+def _large_photograph(width: int = 8000, height: int = 6250) -> bytes:
+    """50 megapixels of 16 bits, which a camera may have: every 50th row is noise."""
+    rng = np.random.default_rng(0)
+    packer = zlib.compressobj(1)
+    rows = (b"\0" + (rng.bytes(2 * width) if y % 50 == 0 else bytes(2 * width)) for y in range(height))
+    packed = b"".join(map(packer.compress, rows)) + packer.flush()
+    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    return png_file([(b"IHDR", header), (b"IDAT", packed), (b"IEND", b"")])
 
 
 def _bomb(kind: bytes, head: bytes, size: int = 500_000_000) -> Chunk:
@@ -117,5 +128,5 @@ ENTRIES: dict[str, Entry] = {
     "picture_loop": Entry(PICTURE, _loop, is_read=False),
     "picture_device": Entry(PICTURE, _device, is_read=False),
     "picture_name_not_utf8": Entry(PICTURE, _of_no_encoding, is_read=False),
-    "picture_near_the_bound": Entry(PICTURE, file_of("p.png", lambda: _png_size(8000, 6250, 16, 0)), is_read=True),
+    "picture_near_the_bound": Entry(PICTURE, file_of("p.png", _large_photograph), is_read=True),
 }

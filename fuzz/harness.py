@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import traceback
 import warnings
@@ -164,7 +165,7 @@ def _serialization_fits(raw: object) -> bool:
 
 
 def _read_picture(path: Path, reading: Reading) -> None:
-    content = path.read_bytes()
+    content = path.read_bytes() if os.path.isfile(path) else b""
     if content.startswith((b"\xff\xd8\xff", b"\x89PNG")):
         message = SimpleNamespace(format="", data=np.frombuffer(content, np.uint8))
         try:
