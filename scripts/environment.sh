@@ -63,6 +63,20 @@ make_environment() {
     if command -v flock >/dev/null; then exec 9>&-; fi
 }
 
+# make_tools FOLDER LOCK NAME: an environment, with the interpreter of $PYTHON, of the tools that LOCK has for NAME and of
+# nothing else. Afterwards $PYTHON runs it.
+make_tools() {
+    local folder=$1 lock=$ROOT/$2 python=$PYTHON key
+    key="$python $(sha256sum <"$lock")"
+    PYTHON=$folder/bin/python
+    if [[ $(cat "$folder/installed" 2>/dev/null) == "$key" ]]; then return; fi
+    echo "${0##*/}: making ${folder/#$ROOT\//} (once)" >&2
+    rm -rf "$folder"
+    "$python" -m venv "$folder"
+    install_locked "$lock" "$3"
+    echo "$key" >"$folder/installed"
+}
+
 # install_locked LOCK NAMES...: install into the environment of $PYTHON what NAMES need ("imgu_ros,ros"), exactly as
 # locked; a file with another digest is refused.
 install_locked() {

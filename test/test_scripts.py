@@ -267,7 +267,16 @@ def test_a_lock_without_digests_is_refused(tmp_path: Path, text: str) -> None:
     assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1), done.stderr
 
 
-SCRIPTS = ("scripts/demo", "scripts/test", "scripts/pin", "scripts/colcon", "scripts/environment.sh", ".ci/run")
+SCRIPTS = (
+    "scripts/demo",
+    "scripts/test",
+    "scripts/pin",
+    "scripts/colcon",
+    "scripts/audit",
+    "scripts/sbom",
+    "scripts/environment.sh",
+    ".ci/run",
+)
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
