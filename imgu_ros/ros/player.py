@@ -44,6 +44,7 @@ _CLOCK_PERIOD_S = 0.025
 _SETTLE_S = 0.5
 _DISCOVERY_S = 1.0
 _ACKNOWLEDGE_S = 2.0
+_LONGEST_SLEEP_S = 3600.0
 _LINGER_S = 0.5
 
 
@@ -258,7 +259,8 @@ class _Player:
             self._sleep(min(due, self._clock_due) - now if listened else due - now)
 
     def _sleep(self, seconds: float) -> None:
-        if self._stop.wait(max(0.0, seconds)):
+        # A gap of years, or a rate near 0: no timer waits so long at once, and who called looks again.
+        if self._stop.wait(min(max(0.0, seconds), _LONGEST_SLEEP_S)):
             raise Stopped
 
     def _finish(self) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imgu_ros.arguments import shown_value
 from imgu_ros.errors import ParameterError
 from imgu_ros.perception.frame import Frame
 from imgu_ros.perception.targets import TargetImage
@@ -31,6 +32,8 @@ from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 
 #: Light on a white surface, as a share of what saturates the sensor, without exposure compensation.
 _EXPOSURE = 0.9
+#: Every frame leaves its truth in memory, and one of so many pixels takes 25 bytes for each while it is made.
+_MOST_FRAMES, _MOST_PIXELS = 1_000_000, 2**27
 #: Part of the motion over which the path is well described by one cubic.
 _SMOOTH_PROGRESS = 0.01
 #: A plausible lens for each model.
@@ -195,10 +198,14 @@ def check_simulation(simulation: Simulation) -> None:
     width, height = simulation.width, simulation.height
     if not (32 <= width <= 16384 and 32 <= height <= 16384):
         raise ParameterError(f"size: {width}x{height}; need 32x32 to 16384x16384")
+    if width * height > _MOST_PIXELS:
+        raise ParameterError(
+            f"size: {width}x{height}: {width * height} px; need at most {_MOST_PIXELS}, 3 GB of memory"
+        )
     if simulation.layout.color is ColorModel.BAYER and (width % 2 or height % 2):
         raise ParameterError(f"size: {width}x{height}; need even numbers for a Bayer pattern")
-    if simulation.frames < 1:
-        raise ParameterError(f"frames: {simulation.frames}; need 1 or more")
+    if not 1 <= simulation.frames <= _MOST_FRAMES:
+        raise ParameterError(f"frames: {shown_value(simulation.frames)}; need 1 to {_MOST_FRAMES}")
     if not (math.isfinite(simulation.rate_hz) and 1e-3 <= simulation.rate_hz <= 1e5):
         raise ParameterError(f"rate: {simulation.rate_hz:g} Hz; need 0.001 to 100000 Hz")
     check_capture(simulation.capture, height, simulation.rate_hz)
