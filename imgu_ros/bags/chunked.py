@@ -143,7 +143,7 @@ class ChunkedStorage:
             times = np.frombuffer(contents.times, np.int64)
             stretch.start_ns, stretch.end_ns = int(times.min()), int(times.max())
         self._table.replace(index, stretch)
-        if contents.damage:
+        if contents.damage or contents.foreign_at >= 0:
             self._search(stretch, contents)
 
     def _search(self, stretch: Stretch, contents: Contents) -> None:
@@ -151,7 +151,8 @@ class ChunkedStorage:
         if not self._sought:
             self._sought = {known.offset for known in self._table}
         is_read = stretch.compression == "" and len(contents.times)
-        start = stretch.data_offset + contents.size if is_read else stretch.offset + 1
+        read = contents.size if contents.foreign_at < 0 else contents.foreign_at
+        start = stretch.data_offset + read if is_read else stretch.offset + 1
         try:
             for found in self._form.search(self._file, start, min(stretch.end, self._file.size)):
                 self._search_left -= found.data_size + found.size
@@ -177,7 +178,7 @@ class ChunkedStorage:
 
     def _messages_of(self, stretch: Stretch, topics: Collection[str] | None) -> Iterator[RawMessage]:
         contents, data = self._contents(stretch)
-        if not self._is_sure:
+        if not self._is_sure or sum(stretch.counts.values()) != len(contents.times):
             self._check(stretch, contents)
         wanted = self._wanted(topics)
         channels, times = contents.channels, contents.times
@@ -208,6 +209,8 @@ class ChunkedStorage:
         is_right = not stretch.crc or zlib.crc32(data) == stretch.crc
         if contents.damage:
             self._warn_of_chunk(stretch, contents.damage)
+        elif contents.foreign_at >= 0:
+            self._warn_of_chunk(stretch, f"record at byte {contents.foreign_at} is none of a chunk's")
         elif not is_right:
             self._warn_of_chunk(stretch, "its checksum differs: what is in it may be wrong")
         (self._definitions if is_right else self._index.summary).take(contents.definitions)
@@ -221,7 +224,10 @@ class ChunkedStorage:
                 "(limits.expansion)"
             )
         packed = self._file.read(stretch.data_offset, stretch.data_size)
-        return decompressed(packed, stretch.compression, stretch.size, self._limits)
+        data = decompressed(packed, stretch.compression, stretch.size, self._limits)
+        if len(data) != stretch.size:
+            self._warn_of_chunk(stretch, f"it announces {stretch.size} bytes; it has {len(data)}")
+        return data
 
     def _compare(self) -> None:
         """Say where the file promises something else than it has."""
@@ -231,16 +237,18 @@ class ChunkedStorage:
         messages, chunks = sum(self._totals.values()), self._index.chunks
         if promise.messages not in (-1, messages):
             self._warnings.add(
-                f"{self._name}: its {promise.source} announces {promise.messages} messages; it has {messages}"
+                f"{self._name}: {promise.messages} messages by its {promise.source}; {messages} are there"
             )
         elif promise.counts and promise.counts != self._totals:
             self._warnings.add(
                 f"{self._name}: its {promise.source} announces other numbers of messages for some topics"
             )
         if promise.chunks not in (-1, chunks):
-            self._warnings.add(f"{self._name}: its {promise.source} announces {promise.chunks} chunks; it has {chunks}")
+            self._warnings.add(f"{self._name}: {promise.chunks} chunks by its {promise.source}; {chunks} are there")
         elif promise.listed_chunks not in (-1, 0, chunks):
-            self._warnings.add(f"{self._name}: its chunk index lists {promise.listed_chunks} chunks; it has {chunks}")
+            self._warnings.add(
+                f"{self._name}: {promise.listed_chunks} chunks in its list of chunks; {chunks} are there"
+            )
 
     def _warn_of_count(self, stretch: Stretch, promised: int, contents: Contents) -> None:
         if promised < 0 or contents.damage:

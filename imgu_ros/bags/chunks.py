@@ -87,6 +87,7 @@ class Contents:
     definitions : those among the records
     damage : why reading broke off; empty when it did not
     size : bytes that were read until then
+    foreign_at : place of the first record that does not belong into a chunk; -1: there is none
     """
 
     channels: array[int] = field(default_factory=lambda: array("I"))
@@ -96,6 +97,12 @@ class Contents:
     definitions: Definitions = field(default_factory=Definitions)
     damage: str = ""
     size: int = 0
+    foreign_at: int = -1
+
+    def note_foreign(self, at: int) -> None:
+        """Note a record that does not belong into a chunk: its sizes may be wrong, so that others are in it."""
+        if self.foreign_at < 0:
+            self.foreign_at = at
 
     def add(self, channel: int, time_ns: int, begin: int, end: int) -> None:
         """Note a message; a time that ROS cannot hold becomes the last one that it can."""

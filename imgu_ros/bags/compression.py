@@ -35,6 +35,8 @@ FREE_EXPANSION = 1_000_000_000
 #: Of the disk that temporary copies are on, this stays free; of a small one, a tenth.
 _RESERVE = 500_000_000
 _CHECK_DISK_EVERY = 64_000_000
+#: Bytes that a chunk may have beyond those that it announces.
+_MOST_UNANNOUNCED = 2**23
 
 
 class Expansion:
@@ -55,7 +57,7 @@ class Expansion:
 
 
 def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters = DEFAULT_LIMITS) -> memoryview:
-    """Return exactly `size` bytes from compressed `data`.
+    """Return what compressed `data` hold: `size` bytes, or, where that is wrong, what is there.
 
     Parameters
     ----------
@@ -67,13 +69,10 @@ def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters =
     Raises
     ------
     BagError
-        If the method is unknown, the data are damaged, or the size differs.
+        If the method is unknown, the data are damaged or cut, or are much more than announced.
     """
     check_message_size(size, limits)
-    result = memoryview(data) if method == "" else _unpacked(data, method, size, limits)
-    if len(result) != size:
-        raise BagError(f"{len(result)} bytes decompressed; need {size}")
-    return result
+    return memoryview(data) if method == "" else _unpacked(data, method, size)
 
 
 def decompressed_message(
@@ -171,13 +170,14 @@ def decompress_file(source: Path, target: Path, limits: LimitsParameters, space:
         raise BagError(f"{source}: cannot decompress to {target.parent}: {error.strerror}") from None
 
 
-def _unpacked(data: bytes, method: str, size: int, limits: LimitsParameters) -> memoryview:
-    if method == "lz4" and size > 255 * len(data) + 64:  # no lz4 data expand more
-        raise BagError(f"announces {size} bytes from {len(data)} compressed ones; lz4 cannot")
+def _unpacked(data: bytes, method: str, size: int) -> memoryview:
     pieces = _pieces(data, method, size + 1)
     if size < _AT_ONCE:
         first = next(pieces, b"")
-        return memoryview(first if len(first) == size else b"".join([first, *_bounded(pieces, size - len(first))]))
+        if len(first) == size:
+            return memoryview(first)
+        most = max(size, _MOST_UNANNOUNCED)
+        return memoryview(b"".join([first, *_bounded(pieces, most - len(first))]))
     return _joined(_bounded(pieces, size), size)
 
 

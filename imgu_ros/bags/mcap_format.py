@@ -95,13 +95,14 @@ def _channel_record(content: bytes | memoryview, most: int) -> ChannelRecord:
     return ChannelRecord(identity, schema_id, topic, encoding)
 
 
-def chunk_header(head: bytes, length: int) -> ChunkHeader:
+def chunk_header(head: bytes, length: int, *, is_sure: bool = False) -> ChunkHeader:
     """Parse the head of a chunk record.
 
     Parameters
     ----------
     head : the record's first bytes, prefix included, `HEAD_BYTES` of them when there are as many
     length : as the record's prefix gives it
+    is_sure : the length is right, so that sizes that contradict it are not believed
 
     Raises
     ------
@@ -112,6 +113,9 @@ def chunk_header(head: bytes, length: int) -> ChunkHeader:
     compression, at = _string(head, PREFIX.size + _CHUNK_FIXED.size, len(head))
     (compressed,) = _unpacked(_U64, head, at)
     at += _U64.size
+    if is_sure and compression in COMPRESSIONS and at - PREFIX.size <= length:
+        compressed = length + PREFIX.size - at
+        size = size if compression else compressed
     if at - PREFIX.size + compressed != length or (compression == "" and size != compressed):
         raise BagError(f"chunk of {length} bytes announces {compressed} bytes of data")
     return ChunkHeader(min(start, MAX_TIME_NS), min(end, MAX_TIME_NS), size, crc, compression, compressed, at)
@@ -176,9 +180,11 @@ def mcap_contents(data: memoryview, limits: LimitsParameters) -> Contents:
                 definition = definition_record(opcode, data[start:end], limits)
                 if definition is not None:
                     found.definitions.define(definition)
-        elif opcode in (0, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.FOOTER):
-            found.damage = f"record at byte {at} has opcode {opcode}; need one of a chunk's"
+        elif opcode == 0:
+            found.damage = f"record at byte {at} has opcode 0"
             break
+        elif opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.FOOTER):
+            found.note_foreign(at)
         at = end
     found.size = at
     return found

@@ -97,14 +97,16 @@ class _Walk:
         while at < self.file.size and not self.found.is_complete and self.next_file < 0:
             try:
                 at = self.next_record(at)
-            except BagError:
-                at = self.recovered(at)
+            except BagError as error:
+                at = self.stepped_over(at, error) or self.recovered(at)
         self.close_stretch()
         return self.next_file
 
     def next_record(self, at: int) -> int:
         """Take the record at `at`; return the next one's place. BagError when there is no record."""
         head = self.file.head(at, HEAD_BYTES)
+        if head.startswith(MAGIC):
+            return self.take_magic(at)
         opcode, length = prefix(head)
         end = at + PREFIX.size + length
         if end > self.file.size:
@@ -119,7 +121,7 @@ class _Walk:
             self.take_message_index(*index_head(head, length))
             sure = end
         elif opcode == Opcode.CHUNK or self.is_disguised_chunk(at, head, length):
-            sure = self.take_chunk(at, head, length)
+            sure = self.take_chunk(at, chunk_header(head, length))
         else:
             self.close_stretch()
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -141,8 +143,39 @@ class _Walk:
         self.sure = sure
         return end
 
-    def take_chunk(self, at: int, head: bytes, length: int) -> int:
-        chunk = chunk_at(at, chunk_header(head, length))
+    def take_magic(self, at: int) -> int:
+        """Take a file's beginning: of another file, when it has a header and this one has had something."""
+        self.sure = at + len(MAGIC)
+        has_header = self.file.head(self.sure, 1) == bytes([Opcode.HEADER])
+        if has_header and (self.found.chunks or self.found.definitions.channels or self.last or self.before):
+            self.next_file = self.sure
+        self.remark(f"a file begins at byte {at}: read on")
+        return self.sure
+
+    def stepped_over(self, at: int, error: BagError) -> int:
+        """Return the place behind a record whose length holds, though its content does not; 0 when it does not."""
+        head = self.file.head(at, HEAD_BYTES)
+        if len(head) < PREFIX.size or not head[0]:
+            return 0
+        length: int = PREFIX.unpack_from(head)[1]
+        end = at + PREFIX.size + length
+        if end > self.file.size or not is_followed(self.file, end):
+            return 0
+        self.sure = at
+        try:
+            if head[0] == Opcode.CHUNK or self.is_disguised_chunk(at, head, length):
+                self.take_chunk(at, chunk_header(head, length, is_sure=True))
+                self.remark(f"the chunk at byte {at} has wrong sizes: read by its length")
+                return end
+        except BagError:
+            pass
+        if self.last is not None and not self.last.is_run:
+            self.last.is_counted = False
+        self.remark(f"the record at byte {at} is skipped: {error}")
+        return end
+
+    def take_chunk(self, at: int, header: ChunkHeader) -> int:
+        chunk = chunk_at(at, header)
         self.close_stretch()
         self.last = chunk
         self.found.chunks += 1
@@ -262,7 +295,7 @@ class _Walk:
             length: int = PREFIX.unpack_from(head)[1]
             end = broken + PREFIX.size + length
             if end <= self.file.size and self.is_disguised_chunk(broken, head, length):
-                self.sure = self.take_chunk(broken, head, length)
+                self.sure = self.take_chunk(broken, chunk_header(head, length))
                 return end
         if self.last is not None and not self.last.is_run:
             self.last.is_counted = False  # its message indexes may be among what is broken

@@ -23,13 +23,15 @@ from imgu_ros.errors import BagError
 LAST_KNOWN_OPCODE = 0x0F
 
 _SEARCH_BYTES = 2**20
-# Chunks, messages and definitions whose length is below 2^40, the ends of data and file; each match is empty, so that
-# none hides another.
-_CHUNK = rb"\x06.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4)"
+# Chunks, messages and definitions whose length is below 2^40, the ends of data and file; each match is one byte, so
+# that none hides another.
+_CHUNK = rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))"
 _CANDIDATE = re.compile(
-    rb"(?=" + _CHUNK + rb"|[\x03\x04\x05].{5}\0\0\0|\x02\x14\0{7}|\x0f\x04\0{7}|\x89MCAP0\r\n\x01)", re.DOTALL
+    rb"[\x02-\x06\x0f\x89](?:(?<=\x06)" + _CHUNK[4:] + rb"|(?<=[\x03\x04\x05])(?=.{5}\0\0\0)"
+    rb"|(?<=\x02)(?=\x14\0{7})|(?<=\x0f)(?=\x04\0{7})|(?<=\x89)(?=MCAP0\r\n\x01))",
+    re.DOTALL,
 )
-_CHUNK_CANDIDATE = re.compile(rb"(?=" + _CHUNK + rb")", re.DOTALL)
+_CHUNK_CANDIDATE = re.compile(_CHUNK, re.DOTALL)
 _HOUR_NS = 3600 * 10**9
 #: Records that must follow a message of another time than the last, for pixels can look like a record.
 _CHAINED = 3

@@ -91,8 +91,7 @@ def rosbag1_contents(data: memoryview, limits: LimitsParameters) -> Contents:
             elif opcode == Opcode.CONNECTION:
                 define(found.definitions, header, data[start:end], limits)
             elif opcode in (Opcode.BAG_HEADER, Opcode.CHUNK, Opcode.INDEX, Opcode.CHUNK_INFO):
-                found.damage = f"record at byte {at} has type {opcode}; need one of a chunk's"
-                break
+                found.note_foreign(at)
         at = end
     found.size = at
     return found

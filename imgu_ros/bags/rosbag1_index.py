@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -33,10 +34,10 @@ _SEARCH_BYTES = 2**20
 _INDEX_BYTES = 12 * 2**16
 #: Messages outside of chunks are read in stretches of about this size.
 _STRETCH_BYTES = 2**22
-# A header of some fields, the first of which has a name; each match is empty, so that none hides another.
-_HEADER = rb"[\x18-\x80]\0\0\0(?=[\x04-\x40]\0\0\0[a-z].{0,120}?op=[%s])"
-_CANDIDATE = re.compile(rb"(?=" + _HEADER % rb"\x05\x06\x07" + rb"|#ROSBAG V2\.0\n)", re.DOTALL)
-_CHUNK_CANDIDATE = re.compile(rb"(?=" + _HEADER % rb"\x05" + rb")", re.DOTALL)
+# A header of some fields, the first of which has a name; each match is one byte, so that none hides another.
+_HEADER = rb"[\x18-\x80](?=\0\0\0[\x04-\x40]\0\0\0[a-z].{0,120}?op=[%s])"
+_CANDIDATE = re.compile(_HEADER % rb"\x05\x06\x07" + rb"|#(?=ROSBAG V2\.0\n)", re.DOTALL)
+_CHUNK_CANDIDATE = re.compile(_HEADER % rb"\x05", re.DOTALL)
 
 
 def index_rosbag1(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
@@ -79,6 +80,10 @@ def rosbag1_chunks(file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
 ROSBAG1 = ChunkFormat(index_rosbag1, rosbag1_contents, rosbag1_chunks)
 
 
+class _EncryptedError(BagError):
+    """Nothing of the bag can be read."""
+
+
 class _Walk:
     def __init__(self, file: ByteFile, start: int, limits: LimitsParameters) -> None:
         self.file, self.limits, self.start = file, limits, start
@@ -95,9 +100,9 @@ class _Walk:
         while at < self.file.size and self.next_file < 0:
             try:
                 at = self.next_record(at)
+            except _EncryptedError:
+                raise
             except BagError:
-                if at == self.start:  # not even the bag's header
-                    raise
                 at = self.recovered(at)
         self.close_stretch()
         found = self.found
@@ -126,8 +131,9 @@ class _Walk:
             self.close_stretch()
             if opcode == Opcode.BAG_HEADER:
                 if header.fields.get("encryptor"):
-                    raise BagError(f"{self.file.path}: encrypted; need a bag that is not")
-                self.announced = header.number("chunk_count") if header.number("index_pos", 8) else -1
+                    raise _EncryptedError(f"{self.file.path}: encrypted; need a bag that is not")
+                with suppress(BagError):
+                    self.announced = header.number("chunk_count") if header.number("index_pos", 8) else -1
             elif opcode == Opcode.CONNECTION:
                 if header.data_size > 1_000_000 * self.limits.message_mb:
                     raise BagError(f"connection of {header.data_size} bytes")
@@ -199,9 +205,11 @@ class _Walk:
             self.last.is_counted = False  # its index may be among what is broken
         self.close_stretch()
         start = self.sure
-        # The bag that follows another begins where the other's last record ends.
-        first = broken - 1 if self.file.head(broken, len(MAGIC)) == MAGIC else start
-        for at in _candidates(self.file, first + 1, self.file.size, _CANDIDATE):
+        if self.file.head(broken, len(MAGIC)) == MAGIC:
+            if broken == self.start:
+                return broken + len(MAGIC)
+            start = broken - 1  # the bag that follows another begins where the other's last record ends
+        for at in _candidates(self.file, start + 1, self.file.size, _CANDIDATE):
             if self.is_record(at):
                 self.found.gaps.append(Gap(broken if at > broken else start, at))
                 self.sure = at
