@@ -15,7 +15,7 @@ from imgu_ros.bags.mcap_format import MAGIC as MCAP_MAGIC
 from imgu_ros.bags.mcap_index import MCAP
 from imgu_ros.bags.rosbag1_format import MAGIC as ROSBAG1_MAGIC
 from imgu_ros.bags.rosbag1_index import ROSBAG1
-from imgu_ros.bags.rosbag2 import METADATA, splits
+from imgu_ros.bags.rosbag2 import METADATA, recording
 from imgu_ros.bags.sqlite import SqliteStorage
 from imgu_ros.bags.storage import Storage, Warnings
 from imgu_ros.errors import BagError
@@ -68,7 +68,8 @@ class Opening:
             return self.opened(path, path.name)
         storages: list[Storage] = []
         errors: list[BagError] = []
-        for split in splits(path, self.warnings):
+        folder = recording(path, self.warnings, self.limits)
+        for split in folder.splits:
             try:
                 opened = self.opened(split.path, split.path.name)
             except BagError as error:
@@ -80,8 +81,13 @@ class Opening:
                 self.warnings.add(
                     f"{split.path.name}: {count} of the {split.message_count} messages that {METADATA} announces"
                 )
+            elif count > split.message_count >= 0:
+                self.warnings.add(f"{split.path.name}: {count} messages, {METADATA} announces {split.message_count}")
         if errors and not storages:
             raise errors[0]
+        difference = "" if errors else folder.difference(storages)
+        if difference:
+            self.warnings.add(f"{path.name}: {difference}")
         for skipped in errors:
             self.warnings.add(f"skipped: {skipped}")
         return storages

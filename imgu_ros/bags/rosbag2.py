@@ -4,23 +4,25 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from imgu_ros.bags.storage import Warnings, seconds
+from imgu_ros.bags.storage import DEFAULT_LIMITS, MAX_TIME_NS, Storage, Warnings, seconds
 from imgu_ros.bags.text import text_of
-from imgu_ros.errors import BagError
+from imgu_ros.errors import BagError, FileError
+from imgu_ros.files.reading import file_bytes
+from imgu_ros.files.yaml_tree import yaml_tree
+from imgu_ros.params import LimitsParameters
+from imgu_ros.shown_text import NAME_CHARACTERS, shown
 
 METADATA = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".zstd")
-#: A real one has some kilobytes; YAML of any size could otherwise eat the memory.
-_MAX_METADATA_BYTES = 2**24
 _STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
-#: Gives text for every scalar: there are no tags, dates or numbers that it could refuse.
-_LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+_INTEGER = re.compile(r"-?[0-9]{1,19}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,7 @@ class Announced:
     message_count : messages in all; -1: not said
     file_counts : messages by file name, where said
     starts_ns, ends_ns : times by file name, where said
+    topic_counts : messages by topic, where said
     """
 
     files: tuple[str, ...]
@@ -42,6 +45,7 @@ class Announced:
     file_counts: dict[str, int]
     starts_ns: dict[str, int]
     ends_ns: dict[str, int]
+    topic_counts: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +56,40 @@ class Split:
     message_count: int
 
 
-def splits(folder: Path, warnings: Warnings) -> tuple[Split, ...]:
-    """Return the bag's files that are there; what is missing becomes a warning.
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A rosbag2 directory.
+
+    Attributes
+    ----------
+    splits : its files that are there
+    topic_counts : messages by topic that metadata.yaml announces; empty where it does not, or a file is missing
+    """
+
+    splits: tuple[Split, ...]
+    topic_counts: dict[str, int] = field(default_factory=dict)
+
+    def difference(self, storages: Iterable[Storage]) -> str:
+        """Return which topics have another number of messages than metadata.yaml announces; empty when none has."""
+        there: dict[str, int] = {}
+        for storage in storages:
+            for channel, count in storage.counts.items():
+                there[channel.topic] = there.get(channel.topic, 0) + count
+        if not self.topic_counts:
+            return ""
+        names = sorted(there.keys() | self.topic_counts.keys())
+        pairs = [(name, there.get(name, 0), self.topic_counts.get(name, 0)) for name in names]
+        others = [
+            f"{shown(name, NAME_CHARACTERS)} {count} (announced: {said})"
+            for name, count, said in pairs
+            if count != said
+        ]
+        more = f" and {len(others) - 5} other topics" if len(others) > 5 else ""
+        return f"{METADATA} announces other numbers of messages: {', '.join(others[:5])}{more}" if others else ""
+
+
+def recording(folder: Path, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> Recording:
+    """Return what of a bag is there; what is missing becomes a warning.
 
     Files are looked for by name in the folder, whatever path metadata.yaml gives. Where none of those that it names is
     there, the files that are there are the bag: they were renamed, or their names are of another system.
@@ -64,17 +100,18 @@ def splits(folder: Path, warnings: Warnings) -> tuple[Split, ...]:
         If the folder holds no bag.
     """
     try:
-        present = sorted(path for path in folder.iterdir() if path.suffix in _SUFFIXES and path.is_file())
+        entries = {path.name: path for path in folder.iterdir()}
     except OSError as error:
         raise BagError(f"{folder}: {error.strerror}; need a readable folder") from None
-    announced = _announced(folder, warnings)
+    present = [entries[name] for name in sorted(entries) if name.endswith(_SUFFIXES) and entries[name].is_file()]
+    announced = _announced(folder, warnings, limits)
     if announced is None:
         if not present:
             raise BagError(
                 f"{folder}: no bag in this folder; need .mcap or .db3 files, and their {METADATA} (name a .bag itself)"
             )
-        return tuple(Split(path, -1) for path in present)
-    found = {name: _located(folder, name) for name in announced.files}
+        return Recording(tuple(Split(path, -1) for path in present))
+    found = {name: _located(entries, name) for name in announced.files}
     missing = [name for name, path in found.items() if path is None]
     if missing and len(missing) == len(found):
         renamed = _of_storage(present, announced.suffix)
@@ -83,27 +120,32 @@ def splits(folder: Path, warnings: Warnings) -> tuple[Split, ...]:
         there = _listed([path.name for path in renamed])
         warnings.add(f"{folder.name}: {METADATA} names {_listed(missing)}, which is not there; read instead: {there}")
         only = announced.message_count if len(found) == len(renamed) == 1 else -1
-        return tuple(Split(path, only) for path in renamed)
+        return Recording(tuple(Split(path, only) for path in renamed))
     if missing:
-        unnamed = [path.name for path in present if path not in found.values()]
+        unnamed = sorted({path.name for path in present} - {path.name for path in found.values() if path})
         _warn_of_missing(folder, missing, unnamed, announced, warnings)
     only = announced.message_count if len(found) == 1 else -1
-    return tuple(Split(path, announced.file_counts.get(name, only)) for name, path in found.items() if path is not None)
+    splits: dict[Path, Split] = {}  # one for each file: of two names of one file, its messages would come twice
+    for name, path in found.items():
+        if path is not None:
+            splits.setdefault(path, Split(path, announced.file_counts.get(name, only)))
+    return Recording(tuple(splits.values()), {} if missing else announced.topic_counts)
 
 
-def _announced(folder: Path, warnings: Warnings) -> Announced | None:
+def _announced(folder: Path, warnings: Warnings, limits: LimitsParameters) -> Announced | None:
     """Return what metadata.yaml says; None, with a warning, when it is missing or makes no sense."""
     path = folder / METADATA
     if not path.exists():
         warnings.add(f"{folder.name}: no {METADATA}: the files in the folder are read")
         return None
     try:
-        if path.stat().st_size > _MAX_METADATA_BYTES:
-            raise ValueError(f"more than {_MAX_METADATA_BYTES} bytes")
-        content = yaml.load(text_of(path.read_bytes()), _LOADER)
+        if not path.is_file():
+            raise ValueError("no regular file")
+        need = f"{METADATA} of at most {limits.text_mb} MB (limits.text_mb)"
+        content = yaml_tree(text_of(file_bytes(path, need, 1_000_000 * limits.text_mb)), limits)
         return _parsed(content["rosbag2_bagfile_information"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+    except (FileError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         warnings.add(f"{folder.name}: {METADATA} cannot be read ({reason}): the files in the folder are read")
         return None
 
@@ -118,20 +160,29 @@ def _parsed(information: dict[str, Any]) -> Announced:
         try:
             name = _base_name(entry["path"])
             described.append(name)
-            counts[name] = int(entry["message_count"])
-            starts[name] = int(entry["starting_time"]["nanoseconds_since_epoch"])
-            ends[name] = starts[name] + int(entry["duration"]["nanoseconds"])
+            counts[name] = _number(entry["message_count"])
+            starts[name] = _number(entry["starting_time"]["nanoseconds_since_epoch"])
+            ends[name] = starts[name] + _number(entry["duration"]["nanoseconds"])
         except (KeyError, TypeError, ValueError):
             continue  # it says less of this file
-    names = [_base_name(name) for name in _listed_in(information, "relative_file_paths")] or described
+    names = [
+        _base_name(name) for name in _listed_in(information, "relative_file_paths") if isinstance(name, str)
+    ] or described
     if not names:
         raise ValueError("it names no file")
     try:
-        total = int(information.get("message_count", -1))
-    except (TypeError, ValueError):
+        total = _number(information.get("message_count"))
+    except ValueError:
         total = -1
     suffix = _STORAGES.get(str(information.get("storage_identifier", "")), "")
     known = counts.keys() & starts.keys() & ends.keys()
+    of_topics: dict[str, int] = {}
+    try:
+        for entry in _listed_in(information, "topics_with_message_count"):
+            topic = str(entry["topic_metadata"]["name"])
+            of_topics[topic] = of_topics.get(topic, 0) + _number(entry["message_count"])
+    except (KeyError, TypeError, ValueError):
+        of_topics = {}
     return Announced(
         tuple(dict.fromkeys(names)),
         suffix,
@@ -139,6 +190,7 @@ def _parsed(information: dict[str, Any]) -> Announced:
         counts,
         {name: starts[name] for name in known},
         {name: ends[name] for name in known},
+        of_topics,
     )
 
 
@@ -147,19 +199,23 @@ def _listed_in(information: dict[str, Any], key: str) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
+def _number(value: Any) -> int:
+    """Return a count or a time in nanoseconds; ValueError for what can be neither."""
+    text = str(value) if isinstance(value, str) else ""
+    if not _INTEGER.fullmatch(text.strip()) or not 0 <= int(text) <= MAX_TIME_NS:
+        raise ValueError(f"{text[:40]!r} is no count and no time")
+    return int(text)
+
+
 def _base_name(path: Any) -> str:
-    """Return the last part of a path of whichever system."""
-    return re.split(r"[\\/]", str(path))[-1]
+    """Return the last part of a path of whichever system; TypeError for what is no text."""
+    return re.split(r"[\\/]", path)[-1]
 
 
-def _located(folder: Path, name: str) -> Path | None:
+def _located(entries: Mapping[str, Path], name: str) -> Path | None:
     """Return the file called `name`, compressed or decompressed since; None when there is none."""
-    if not name:
-        return None
-    for candidate in (name, f"{name}.zstd", name.removesuffix(".zstd")):
-        if (folder / candidate).is_file():
-            return folder / candidate
-    return None
+    candidates = (name, f"{name}.zstd", name.removesuffix(".zstd"))
+    return next((entries[one] for one in candidates if one in entries and entries[one].is_file()), None)
 
 
 def _of_storage(present: list[Path], suffix: str) -> list[Path]:
@@ -182,4 +238,5 @@ def _warn_of_missing(
 
 
 def _listed(names: list[str]) -> str:
-    return ", ".join(names) if len(names) <= 3 else f"{names[0]}, {names[1]}, ..., {names[-1]}"
+    few = [shown(name, NAME_CHARACTERS) for name in (names if len(names) <= 3 else [*names[:2], names[-1]])]
+    return ", ".join(few if len(names) <= 3 else [*few[:2], "...", few[2]])

@@ -159,17 +159,26 @@ class SqliteStorage:
             return
         there = {column.name for column in columns if column.is_stored}
         names = ", ".join(name if name in there else "NULL" for name in wanted)
+        key = next((column.name for column in columns if column.is_key), "rowid")
         self._file.begin()
         most = _MOST_TEXT * 1_000_000 * self._limits.text_mb
+        faults: list[str] = []
         try:
-            order = "id" if "id" in there else "rowid"
-            for count, row in enumerate(self._file.execute(f"SELECT {names} FROM {table} ORDER BY {order}")):
-                most -= sum(len(value) for value in row if isinstance(value, bytes))
+            for count, (row,) in enumerate(self._file.execute(f"SELECT {key} FROM {table} ORDER BY {key}")):
+                try:
+                    values = self._file.execute(f"SELECT {names} FROM {table} WHERE {key} = ?", (row,)).fetchone()
+                except sqlite3.DatabaseError as error:
+                    faults.append(self._file.fault(error))
+                    continue
+                most -= sum(len(value) for value in values or () if isinstance(value, bytes))
                 if most < 0 or count >= _MOST_NAMED:
                     raise sqlite3.DatabaseError("too many or too long")
-                yield row
+                if values is not None:
+                    yield values
         except sqlite3.DatabaseError as error:
-            self._warnings.add(f"{self._name}: its table {table} cannot be read to its end: {self._file.fault(error)}")
+            faults.append(self._file.fault(error))
+        if faults:
+            self._warnings.add(f"{self._name}: its table {table} cannot be read whole: {faults[0]}")
 
     def _summary(self) -> tuple[dict[int, int], int, int]:
         """Return the messages by topic's id, and the first and last time; decide whether rows are to be sorted."""

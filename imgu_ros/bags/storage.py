@@ -11,6 +11,7 @@ from operator import itemgetter
 from typing import Protocol
 
 from imgu_ros.params import LimitsParameters
+from imgu_ros.shown_text import shown
 
 #: Of whoever has no parameters at hand.
 DEFAULT_LIMITS = LimitsParameters()
@@ -79,7 +80,8 @@ class Warnings:
 
     def add(self, text: str, kind: str = "") -> None:
         """Note `text`, once; of several with the same `kind` the first is kept and the others are counted."""
-        key = kind or text
+        text = shown(text)  # with names of any length
+        key = shown(kind) or text
         self._first.setdefault(key, text)
         texts = self._kinds.setdefault(key, set())
         if len(texts) < _MAX_COUNTED:

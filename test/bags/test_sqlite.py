@@ -283,7 +283,7 @@ def test_many_topics_and_long_texts(tmp_path):
     with open_bag([tmp_path / "x.db3"]) as bag:
         assert len(bag.topics) == 65_536
         assert [message.message.data for message in bag.messages(["/text"])] == ["a", "b"]
-        assert "its table topics cannot be read to its end: too many or too long" in bag.warnings[0]
+        assert "its table topics cannot be read whole: too many or too long" in bag.warnings[0]
 
 
 def test_a_schema_of_a_hundred_thousand_tables_is_refused(tmp_path):
