@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -94,7 +93,6 @@ def decode_checked(data: NDArray[np.uint8], file: PictureFile) -> Image:
 _END = b"\xff\xd9"
 #: Codes of large coefficients: they change every block that is missing.
 _NOISE = bytes.fromhex("fd5afb3cf796ee5c") * 16
-_RESTART = re.compile(rb"\xff[\xd0-\xd7]")
 #: As many zeros are no picture's end.
 _PADDING = 8
 
@@ -104,8 +102,8 @@ _JPEG_MESSAGE = b"Corrupt JPEG data"
 
 def _more(content: bytes) -> bytes:
     """Return what more of a picture could follow a JPEG's data, also where it has restart markers."""
-    restarts = _RESTART.findall(content)
-    following = restarts[-1][1] - 0xD0 + 1 if restarts else 0
+    last, following = max((content.rfind(bytes((0xFF, 0xD0 + part))), part + 1) for part in range(8))
+    following = following if last >= 0 else 0
     return _NOISE + b"".join(bytes((0xFF, 0xD0 + (following + part) % 8)) + _NOISE for part in range(8))
 
 

@@ -27,8 +27,8 @@ _COMMENT = re.compile(rb"#[^\r\n]*")
 _END_OF_LINE = re.compile(rb"[\r\n]")
 _SPACES = b" \t\r\n\v\f"
 _PLAIN_NUMBERS = re.compile(rb"[0-9 \t\r\n\v\f]*")
-#: Text is read in pieces of about so many bytes; a byte costs as much time as so many pixels.
-_PIECE, _TEXT_PX = 2**20, 16
+#: Text is read in pieces of about so many bytes; a byte costs as much time as so many pixels, with comments more.
+_PIECE, _TEXT_PX, _COMMENTED_PX = 2**20, 16, 64
 
 
 def is_pnm(content: bytes) -> bool:
@@ -137,12 +137,14 @@ def _bitmap(content: bytes, position: int, shape: tuple[int, ...]) -> Image:
 def _plain(content: bytes, start: int, out: Image, maxval: int, limits: LimitsParameters) -> Image:
     """Read numbers, or the digits of a bitmap, into `out`, piece by piece."""
     is_bitmap = content[:2] == b"P1"
-    flat, filled, position = out.reshape(-1), 0, start
+    flat, filled, position, passes_px = out.reshape(-1), 0, start, 0
     while filled < flat.size and position < len(content):
         end = _end_of_piece(content, position)
-        check_passes(_TEXT_PX * (end - start), f"PNM of {end - start} bytes of text", limits)
         piece, position = content[position:end], end
-        if b"#" in piece:
+        has_comments = b"#" in piece
+        passes_px += (_COMMENTED_PX if has_comments else _TEXT_PX) * len(piece)
+        check_passes(passes_px, f"PNM of {end - start} bytes of text", limits)
+        if has_comments:
             piece = _COMMENT.sub(b" ", piece)
         values = (_digits if is_bitmap else _numbers)(piece, flat.size - filled)
         if values.size and int(values.max()) > maxval:
