@@ -25,7 +25,7 @@ runs ahead of the other by more than the hold depth:
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -139,9 +139,18 @@ class Pairing(Generic[ImageT, InfoT]):
                 pairs += self._completed(name, camera)
         return pairs
 
-    def flush(self) -> list[Pair[ImageT, InfoT]]:
-        """Complete every image that still waits: nothing more will come."""
-        return [pair for name, camera in self._cameras.items() for pair in self._completed(name, camera, depth=0)]
+    def flush(self, is_due: Callable[[ImageT], bool] = lambda _: True) -> list[Pair[ImageT, InfoT]]:
+        """Complete the images that still wait: nothing more will come; or those of cameras whose last one is due."""
+        return [
+            pair
+            for name, camera in self._cameras.items()
+            if camera.waiting and is_due(camera.waiting[-1].image)
+            for pair in self._completed(name, camera, depth=0)
+        ]
+
+    def is_any(self, is_due: Callable[[ImageT], bool]) -> bool:
+        """Return whether `flush` would complete an image."""
+        return any(camera.waiting and is_due(camera.waiting[-1].image) for camera in self._cameras.values())
 
     def _infos_of(self, frame_id: str, camera: _Camera[ImageT]) -> list[_Infos[InfoT]]:
         """Return the camera_info that may be a camera's: of its own name, else that it had before, else nobody's."""

@@ -13,6 +13,7 @@ from imgu_ros.ros.input import ImageInput
 from imgu_ros.ros.middleware import against_loss
 from imgu_ros.ros.offers import is_latched, why_not_offered
 from imgu_ros.ros.reach import NO_NAME, another_user, has_no_names
+from imgu_ros.shown_text import shown
 
 #: Nodes on one machine find each other within this time.
 _DISCOVERY_S = 1.0
@@ -26,6 +27,7 @@ _FEWEST_LOST = 5
 _UNPAIRED = 5
 _SECOND_NS = 1e9
 _MOST_NAMED = 4
+_NAME_LENGTH = 100
 #: No delay is as long.
 _OTHER_CLOCK_S = 60.0
 
@@ -98,7 +100,7 @@ def publisher_causes(node: Node, source: ImageInput) -> Iterator[Cause]:
 def _publishing_nodes(node: Node, topic: str) -> list[str]:
     # A node that was killed is in the graph for a while after it has started again.
     found = {f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in node.get_publishers_info_by_topic(topic)}
-    return sorted(name for name in found if NO_NAME not in name)
+    return sorted(shown(name, _NAME_LENGTH) for name in found if NO_NAME not in name)
 
 
 def _named(names: Sequence[str]) -> str:

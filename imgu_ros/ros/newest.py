@@ -29,7 +29,8 @@ class NewestSlot(Generic[T]):
     it; if it has been behind for longer all but the newest gives way, and counts as skipped.
 
     Of several senders each is looked at by itself, and the one comes first that took the least of the worker's time
-    lately: who sends what takes long does not cost the others their frames. A new sender comes last.
+    lately; a new one comes last. While the worker is at another's item nobody is behind: who sends what takes long does
+    not cost the others their frames, but for those beyond a dozen.
 
     Parameters
     ----------
@@ -125,17 +126,26 @@ class NewestSlot(Generic[T]):
         now_s = self._clock()
         passed_s, self._looked_s = now_s - self._looked_s, now_s
         if self._served is not None:
+            for sender in self._senders.values():
+                if sender is not self._served and sender.behind_since_s is not None:
+                    sender.behind_since_s = now_s - self._behind_s(sender, now_s, now_s - passed_s)
             self._served.used_s += passed_s
             self._served = None
         left = math.exp(-passed_s / _LATELY_S)
         for sender in self._senders.values():
             sender.used_s *= left
 
+    def _behind_s(self, sender: _Sender[T], now_s: float, looked_s: float) -> float:
+        """Return for how long the worker has not been up with a sender; its work for another does not count."""
+        if sender.behind_since_s is None:
+            return 0.0
+        is_others = self._served is not None and self._served is not sender
+        return (min(now_s, max(looked_s, sender.behind_since_s)) if is_others else now_s) - sender.behind_since_s
+
     def _give_way(self) -> None:
         now_s = self._clock()
         for sender in self._senders.values():
-            behind_s = 0.0 if sender.behind_since_s is None else now_s - sender.behind_since_s
-            while behind_s > self._patience_s and len(sender.waiting) > 1:
+            while self._behind_s(sender, now_s, self._looked_s) > self._patience_s and len(sender.waiting) > 1:
                 sender.waiting.popleft()
                 self._skipped += 1
         while sum(len(sender.waiting) for sender in self._senders.values()) > _MOST:

@@ -183,10 +183,11 @@ class StageInput:
         if not self.topics.camera_info:
             return
         expected = self._node.count_publishers(self.topics.camera_info) > 0
-        overdue = now - self._last_s > (_PATIENCE_S if expected else _SHORT_PATIENCE_S)
+        since_s = now - (_PATIENCE_S if expected else _SHORT_PATIENCE_S)
+        overdue = self._pairing.is_any(lambda job: job.received_s < since_s)
         # Twice in a row: timers come first when the process was held up, and the camera_info may be there already.
         if overdue and self._was_overdue:
-            self._hand_over(self._pairing.flush())
+            self._hand_over(self._pairing.flush(lambda job: job.received_s < since_s))
         self._was_overdue = overdue
 
     def why_silent(self) -> str:

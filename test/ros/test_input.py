@@ -17,6 +17,7 @@ from rclpy.serialization import serialize_message
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import decode_image, image_message
 from imgu_ros.params import LimitsParameters
+from imgu_ros.ros import input as input_module
 from imgu_ros.ros.cause import Kind
 from imgu_ros.ros.input import ImageInput, input_topics
 from imgu_ros.ros.input_causes import image_causes
@@ -95,7 +96,7 @@ def test_callbacks_hand_over_and_count(make_node, monkeypatch):
     # An image whose camera_info never comes is not held for ever.
     source._on_image(serialize_message(image_message(make_message, Header(40, "cam"), pixels, "mono8")), NO_INFO)
     source.check_waiting()
-    source._last_s -= 10
+    monkeypatch.setattr(input_module, "_SHORT_PATIENCE_S", 0.0)
     source.check_waiting()
     source.check_waiting()
     job = source.slot.take()

@@ -132,9 +132,9 @@ def test_what_is_cleared_is_not_skipped() -> None:
 
 
 def test_a_sender_whose_items_take_long_costs_the_others_nothing() -> None:
-    """A camera at 30 Hz whose frames take 4 ms, and strangers whose frames take 0.2 s, four a second."""
+    """A camera at 30 Hz whose frames take 4 ms, and strangers whose frames take 0.35 s, two a second."""
     camera = [(n / 30, "camera") for n in range(300)]
-    strangers = [(n / 4 + 0.01 * (n % 3), f"stranger {n % 3}") for n in range(40)]
+    strangers = [(n / 2 + 0.01 * (n % 3), f"stranger {n % 3}") for n in range(20)]
     events = sorted(camera + strangers)
     world = World([at_s for at_s, _ in events])
     world.slot._sender = lambda number: events[number][1]
@@ -144,11 +144,11 @@ def test_a_sender_whose_items_take_long_costs_the_others_nothing() -> None:
         taken.append(events[number][1])
         if taken[-1] == "camera":
             ages_s.append(world.clock.now_s - events[number][0])
-        world.work(0.004 if taken[-1] == "camera" else 0.2)
+        world.work(0.004 if taken[-1] == "camera" else 0.35)
     assert taken.count("camera") == 300, "none skipped"
-    assert max(ages_s) < 0.25
+    assert max(ages_s) < 0.4
     assert len(taken) + world.slot.skipped == len(events)
-    assert len(taken) > 320, "the strangers get what is left"
+    assert len(taken) > 310, "the strangers get what is left"
 
 
 def test_endless_senders_are_forgotten() -> None:
