@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from imgu_ros.bench.figures import Figures
 from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TITLES, TRACKING
 from imgu_ros.bench.suites import SEQUENCE, SINGLE
+from imgu_ros.files.plot_style import plot_style
 from imgu_ros.files.whole_files import write_whole
 from imgu_ros.simulate.conditions import PLAIN
 
@@ -46,7 +46,7 @@ def write_plot(path: Path, rows: Sequence[Figures]) -> bool:
     if not plain and not robust:
         return False
     conditions = list(dict.fromkeys(r.condition for r in rows if r.kind in (SEQUENCE, SINGLE)))
-    with mpl.rc_context(_STYLE):
+    with plot_style(_STYLE):
         panels = (1 if plain else 0) + len(robust)
         figure = Figure(figsize=(10, 3.4 * bool(plain) + 3.2 * len(robust)), layout="constrained")
         axes = list(figure.subplots(panels, 1, squeeze=False)[:, 0])
@@ -54,8 +54,8 @@ def write_plot(path: Path, rows: Sequence[Figures]) -> bool:
             _time_and_accuracy(axes.pop(0), plain)
         for kind, size in robust:
             _found(axes.pop(0), rows, kind, size, conditions)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=110)
+        content = io.BytesIO()
+        figure.savefig(content, format="png", dpi=110)
     write_whole(path, content.getvalue())
     return True
 

@@ -17,6 +17,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.textpath import text_to_path
 
 from imgu_ros.errors import FileError
+from imgu_ros.files.plot_style import plot_style
 from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Image, Points, as_image, as_points
 
@@ -55,7 +56,8 @@ class VectorFigure:
         self._picture = picture
         self._height, self._width = (int(side) for side in picture.shape[:2])
         self._strips: list[Rectangle] = []
-        self._figure = Figure(figsize=(self._width / _DPI, self._height / _DPI), dpi=_DPI)
+        with plot_style({}):
+            self._figure = Figure(figsize=(self._width / _DPI, self._height / _DPI), dpi=_DPI)
         # Pixels are squares about their centres: the picture reaches from -0.5 to W - 0.5.
         left, right, top, bottom = -0.5, self._width - 0.5, -0.5, self._height - 0.5
         axes = self._figure.add_axes((0, 0, 1, 1))
@@ -72,6 +74,7 @@ class VectorFigure:
         """Width of a line that suits the picture's size, px."""
         return 1.0 + max(self._height, self._width) // 640
 
+    @plot_style({})
     def line(self, points: Points, color: tuple[int, int, int], *, closed: bool = False) -> None:
         """Draw a polyline through points (N, 2), dark-edged so that it stands out on any picture."""
         points = as_points(points)
@@ -81,11 +84,13 @@ class VectorFigure:
             path_effects=[withStroke(linewidth=self.width + 2, foreground=_INK)],
         )  # fmt: skip
 
+    @plot_style({})
     def dots(self, points: Points, color: tuple[int, int, int], radius: float) -> None:
         """Draw discs of a radius in px about points (N, 2)."""
         x, y = as_points(points).T
         self._axes.scatter(x, y, s=(2 * radius) ** 2, color=[_rgb(color)], linewidths=0, zorder=self._on_top())
 
+    @plot_style({})
     def text(self, lines: list[tuple[str, tuple[int, int, int]]]) -> None:
         """Write lines in their colours, top left, on a darkened strip; what does not fit the width is cut."""
         size = max(8.0, max(self._height, self._width) / 60)
@@ -98,7 +103,7 @@ class VectorFigure:
         for row, (text, color) in enumerate(lines):
             self._axes.text(
                 margin, spacing * (row + 0.75) + margin / 2, _fitting(text, size, self._width - 2 * margin),
-                color=_rgb(color), fontsize=size, parse_math=False, zorder=self._on_top(),
+                color=_rgb(color), fontsize=size, parse_math=False, usetex=False, zorder=self._on_top(),
             )  # fmt: skip
 
     def _on_top(self) -> int:
@@ -116,6 +121,10 @@ class VectorFigure:
         FileError
             If the suffix is another one, or the file cannot be written.
         """
+        with plot_style({}):
+            self._save(path)
+
+    def _save(self, path: Path | str) -> None:
         if Path(path).suffix.lower() not in _POSTSCRIPT:
             save_figure(self._figure, path)
             return

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from imgu_ros.errors import FileError
+from imgu_ros.files.plot_style import plot_style
 from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, save_figure
 from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Floats, Points
@@ -53,7 +53,7 @@ def draw_calibration(path: Path, calibration: Calibration, corners: Sequence[Poi
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FileError(f"{path}: suffix {path.suffix!r}; need one of {', '.join(SUFFIXES)}")
-    with mpl.rc_context(_STYLE):
+    with plot_style(_STYLE):
         figure = Figure(figsize=(11, 5.6), layout="constrained")
         grid = figure.add_gridspec(3, 2, width_ratios=[1.5, 1])
         _draw_vectors(figure.add_subplot(grid[:, 0]), calibration, corners)

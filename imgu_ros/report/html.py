@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 from markupsafe import Markup
 
+from imgu_ros.files.plot_style import plot_style
 from imgu_ros.files.text_files import write_text
 from imgu_ros.params import declarations
 from imgu_ros.report import plots
@@ -99,7 +100,8 @@ def _plot(figure: Figure, title: str, caption: str) -> Picture:
     buffer = io.BytesIO()
     # Little is gained by compressing lines on white for longer.
     compression: Any = {"compress_level": 3}
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
+    with plot_style({}):
+        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
     return Picture(_uri("image/png", buffer.getvalue()), title, caption)
 
 

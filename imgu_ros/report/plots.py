@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from imgu_ros.files.plot_style import plot_style
 from imgu_ros.perception.result import Stage, Status
 from imgu_ros.report.overlay import STATUS_COLORS
 from imgu_ros.report.table import FrameTable
@@ -48,7 +48,7 @@ def plot_trajectory(table: FrameTable, target: int) -> Figure | None:
     truth = None if table.errors is None else table.errors.true_position[rows]
     if np.isnan(estimate).all():
         return None
-    with mpl.rc_context(_STYLE):
+    with plot_style(_STYLE):
         figure = Figure(figsize=(_WIDTH, 3.7))
         grid = figure.add_gridspec(
             1, 3, width_ratios=[1.25, 1, 1], left=0.0, right=0.985, bottom=0.14, top=0.91, wspace=0.33
@@ -100,7 +100,7 @@ def plot_status(table: FrameTable) -> Figure:
     """Draw each target's status, and its matches and inliers, over time."""
     count = len(table.targets)
     x, x_name = _time_axis(table)
-    with mpl.rc_context(_STYLE):
+    with plot_style(_STYLE):
         figure = Figure(figsize=(_WIDTH, 2.7 + 0.32 * count), layout="constrained")
         grid = figure.add_gridspec(2, 1, height_ratios=[0.32 * count, 2.0])
         strip = figure.add_subplot(grid[0])
@@ -141,7 +141,7 @@ def plot_times(table: FrameTable) -> Figure | None:
         return None
     ran = [i for i in range(len(Stage)) if not np.isnan(stages[:, i]).all()]
     x, x_name = _time_axis(table)
-    with mpl.rc_context(_STYLE):
+    with plot_style(_STYLE):
         figure = Figure(figsize=(_WIDTH, 2.9))
         bars, line = figure.subplots(1, 2, width_ratios=[1, 1.25])
         _set_margins(figure, left=1.2)
@@ -163,7 +163,7 @@ def plot_times(table: FrameTable) -> Figure | None:
 def _over_time(table: FrameTable, panels: list[tuple[str, Floats, Floats | None]]) -> Figure:
     x, x_name = _time_axis(table)
     several = len(table.targets) > 1
-    with mpl.rc_context(_STYLE):
+    with plot_style(_STYLE):
         figure = Figure(figsize=(_WIDTH, 1.6 * len(panels) + 0.5))
         axes: list[Axes] = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
         _set_margins(figure, left=0.8)

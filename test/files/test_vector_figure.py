@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import cv2
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -38,6 +39,17 @@ def figure() -> VectorFigure:
 def svg(tmp_path: Path) -> ElementTree.Element:
     figure().save(tmp_path / "a.svg")
     return ElementTree.fromstring((tmp_path / "a.svg").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".pdf", ".ps"])
+def test_it_is_drawn_by_nobodys_settings(tmp_path: Path, suffix: str) -> None:
+    figure().save(tmp_path / f"plain{suffix}")
+    # As a file `matplotlibrc` in the current folder can have them; `text.usetex` starts latex.
+    with mpl.rc_context(
+        {"text.usetex": True, "savefig.facecolor": "red", "font.family": "monospace", "image.cmap": "hot"}
+    ):
+        figure().save(tmp_path / f"set{suffix}")
+    assert (tmp_path / f"set{suffix}").read_bytes() == (tmp_path / f"plain{suffix}").read_bytes()
 
 
 def test_a_pixel_is_a_unit(svg: ElementTree.Element) -> None:

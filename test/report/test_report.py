@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import matplotlib as mpl
 import numpy as np
 import pytest
 
@@ -181,6 +182,17 @@ def test_report_is_one_self_contained_page(make_result: MakeResult, tmp_path: Pa
     assert "4 / 5" in page
     assert ("corner error" in page) is with_truth
     assert ("No truth file" in page) is not with_truth
+
+
+def test_report_is_drawn_by_nobodys_settings(make_result: MakeResult, tmp_path: Path) -> None:
+    results = [make_result(i) for i in range(4)]
+    table = table_of(results, tmp_path, truth_of(results))
+    write_report(tmp_path / "plain.html", table, summary_of(table), ())
+    # As a file `matplotlibrc` in the current folder can have them; `text.usetex` starts latex.
+    with mpl.rc_context({"text.usetex": True, "axes.facecolor": "red", "font.size": 40, "lines.linewidth": 9}):
+        write_report(tmp_path / "set.html", table, summary_of(table), ())
+        assert mpl.rcParams["font.size"] == 40
+    assert (tmp_path / "set.html").read_bytes() == (tmp_path / "plain.html").read_bytes()
 
 
 def test_report_of_nothing_but_rejected_frames(make_result: MakeResult, tmp_path: Path) -> None:
