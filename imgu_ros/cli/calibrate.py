@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-views", type=_views, default=50, metavar="N", help="most views used; default: %(default)s"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
-    add_parameter_options(parser, ("raw", "demosaic", "image_topic"))
+    add_parameter_options(parser, ("raw", "demosaic", "image_topic", "limits"))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.options import PICTURE_LIMITS, add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import warn
 from imgu_ros.errors import FileError, ParameterError
 
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     raw.add_argument("--width", type=int, metavar="PX")
     raw.add_argument("--height", type=int, metavar="PX")
     raw.add_argument("--dtype", choices=tuple(_DTYPES), help="uint16 is little-endian")
-    add_parameter_options(parser, _USED)
+    add_parameter_options(parser, (*_USED, *PICTURE_LIMITS))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -91,7 +91,9 @@ def _read_raw(arguments: argparse.Namespace, parameters: Parameters) -> Image:
             raise ParameterError("headerless input: got only some of --width, --height, --dtype; need all three")
         from imgu_ros.files.images import read_raw_image
 
-        return read_raw_image(arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype])
+        return read_raw_image(
+            arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype], limits=parameters.limits
+        )
     from imgu_ros.files.images import read_image_file
 
     try:

@@ -16,7 +16,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.options import PICTURE_LIMITS, add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import say, warn
 from imgu_ros.errors import FileError, ParameterError
 
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--high", type=float, metavar="T", help="of `canny`: where an edge begins; default: 5 %% of the range")
     add("--overlay", action="store_true", default=None, help="edges in red over the picture")
     add("--border", choices=BORDERS, help="what stands outside the picture (constant: 0); default: reflected")
-    add_parameter_options(parser, ("raw.grey_weights",))
+    add_parameter_options(parser, ("raw.grey_weights", *PICTURE_LIMITS))
 
 
 def run(arguments: argparse.Namespace) -> int:

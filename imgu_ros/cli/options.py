@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 _GROUP = "parameters (see `imgu params`)"
 
 
+#: What reading pictures may cost, for `only`.
+PICTURE_LIMITS = ("limits.picture_mb", "limits.picture_megapixels")
+
+
 def add_parameter_options(
     parser: argparse.ArgumentParser, only: tuple[str, ...] = (), without: tuple[str, ...] = ()
 ) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from imgu_ros.cli.filter import BORDERS, kernel_of
 from imgu_ros.cli.match import INTERPOLATIONS
+from imgu_ros.cli.options import PICTURE_LIMITS, add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import warn
 from imgu_ros.errors import FileError, ParameterError
 
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="default: linear; area, the mean over a pixel's area and the default there, when resizing only",
     )  # fmt: skip
     parser.add_argument("--border", choices=BORDERS, help="what stands outside IN (constant: 0); default: constant")
+    add_parameter_options(parser, PICTURE_LIMITS)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -47,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
-    file = read_image_file(arguments.input, upright=True)
+    file = read_image_file(arguments.input, upright=True, limits=parameters_of(arguments).limits)
     image = file.pixels
     for note in file.notes:
         warn(f"{arguments.input}: {note}")

@@ -157,7 +157,14 @@ def check_image_file(path: Path | str, pixels: Image | None = None) -> None:
         raise FileError(f"{path}: {error} in a {suffix} file") from None
 
 
-def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dtype[np.generic]) -> Image:
+def read_raw_image(
+    path: Path | str,
+    width: int,
+    height: int,
+    dtype: str | np.dtype[np.generic],
+    *,
+    limits: LimitsParameters = DEFAULT_LIMITS,
+) -> Image:
     """Read pixels without a header.
 
     Parameters
@@ -165,6 +172,7 @@ def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dt
     path : height rows of width values, one after the other
     width, height : px
     dtype : "uint8", "uint16" (little-endian), ">u2" (big-endian)
+    limits : what reading may cost
 
     Returns
     -------
@@ -187,7 +195,7 @@ def read_raw_image(path: Path | str, width: int, height: int, dtype: str | np.dt
         raise FileError(f"{path}: {error.strerror}; need a raw image file") from None
     if size != need and path.is_file():
         raise FileError(f"{path}: {size} bytes; need {need} ({width} x {height} x {stored.itemsize})")
-    values = np.frombuffer(_content(path), stored)
+    values = np.frombuffer(_content(path, limits), stored)
     if values.size != width * height:
         raise FileError(f"{path}: {values.nbytes} bytes; need {need} ({width} x {height} x {stored.itemsize})")
     native: Image = values.reshape(height, width).astype(stored.newbyteorder("="))
@@ -292,7 +300,7 @@ def _raw_dtype(path: Path, dtype: str | np.dtype[np.generic]) -> np.dtype[np.gen
     return stored.newbyteorder("<") if stored.byteorder == "=" else stored
 
 
-def _content(path: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> bytes:
+def _content(path: Path, limits: LimitsParameters) -> bytes:
     if path.exists() and not path.is_file():  # reading a pipe or a device might never end
         raise FileError(f"{path}: {'a folder' if path.is_dir() else 'no regular file'}; need an image file")
     try:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
+from imgu_ros.cli.main import main
 from imgu_ros.errors import EncodingError, FileError
 from imgu_ros.files.images import read_image, read_image_file, read_raw_image
 from imgu_ros.files.pnm import decode_pnm
@@ -221,6 +222,17 @@ def test_limits_are_passed_on(tmp_path):
         assert read_image(tmp_path / name, limits=replace(DEFAULT_LIMITS, picture_mb=10)).shape[:2] == (1000, 1000)
         with pytest.raises(FileError, match=r"need at most 1 \(limits.picture_mb\)"):
             read_image(tmp_path / name, limits=replace(DEFAULT_LIMITS, picture_mb=1))
+
+
+@pytest.mark.parametrize(
+    "command", [["filter", "--method", "gaussian"], ["warp", "--scale", "0.5"], ["demosaic", "--pattern", "rggb"]]
+)
+def test_commands_take_the_limit(tmp_path, capsys, command):
+    Pillow.fromarray(np.zeros((1000, 1000), np.uint8)).save(tmp_path / "a.png")
+    name, *options = command
+    arguments = [name, str(tmp_path / "a.png"), str(tmp_path / "b.png"), *options]
+    assert main([*arguments, "-p", "limits.picture_mb:=1"]) == 1
+    assert "a.png: PNG of 1000 x 1000 px: needs 3 MB; need at most 1 (limits.picture_mb)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("size", [(20_000, 20_000), (10**8, 1), (1, 10**8), (6400, 6400)])
