@@ -172,7 +172,7 @@ def sqlite_messages(path: Path) -> Messages:
         database.set_progress_handler(lambda: 1, 10**8)
         tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if {b"messages", b"topics"} <= tables:
-            topics = {i for i, _, _ in database.execute("SELECT id, name, type FROM topics")}
+            topics = {i for i, *texts in database.execute("SELECT id, name, type FROM topics") if None not in texts}
             with suppress(sqlite3.Error, MemoryError):
                 for row, topic, time_ns, data in database.execute("SELECT id, topic_id, timestamp, data FROM messages"):
                     whole = isinstance(time_ns, int) and isinstance(data, bytes) and isinstance(row, int)
