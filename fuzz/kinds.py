@@ -129,20 +129,22 @@ def _folder(files: Case, storage: str) -> Case:
 
 def _mutate_folder(rng: Rng, case: Case) -> Case:
     files = {name: data for name, data in case.items() if name != FOLDER}
-    name = choice(rng, list(files) or ["metadata.yaml"])
+    if not files:
+        return case
+    name = choice(rng, list(files))
     roll = rng.random()
     if roll < 0.1:
-        files.pop(name, None)
+        del files[name]
     elif roll < 0.2:
         files[choice(rng, ("bag_0.mcap", "bag_7.mcap", "bag_1.db3", "metadata.yaml", "=1.mcap", "\x1b[31m.mcap"))] = (
             files[name]
         )
     elif roll < 0.65 and "metadata.yaml" in files:
         files["metadata.yaml"] = texts.mutate(rng, files["metadata.yaml"])
-    elif name in files and name.endswith((".mcap", ".db3")):
+    elif name.endswith((".mcap", ".db3")):
         mutate = mcap_mutation.mutate if name.endswith(".mcap") else sqlite.mutate
         files[name] = mutate(rng, files[name])
-    elif name in files:
+    else:
         files[name] = mangled(rng, files[name])
     return {FOLDER: b"", **files}
 
