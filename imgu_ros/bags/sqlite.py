@@ -8,9 +8,11 @@ from collections.abc import Collection, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from imgu_ros.bags.sqlite_file import Column, SqliteFile
+from imgu_ros.bags.sqlite_pages import SqlitePages
 from imgu_ros.bags.storage import (
     DEFAULT_LIMITS,
     MAX_TIME_NS,
@@ -50,7 +52,8 @@ class SqliteStorage:
 
     def __init__(self, path: Path, name: str, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
         self._path, self._name, self._warnings, self._limits = path, name, warnings, limits
-        self._is_sorted = self._is_damaged = False
+        self._is_sorted = self._is_damaged = self._is_walked = False
+        self._pages: SqlitePages | None = None
         self._file = SqliteFile(path, name, warnings, limits)
         try:
             tables = self._file.tables("topics", "messages", "message_definitions")
@@ -85,11 +88,12 @@ class SqliteStorage:
         """Yield the messages of `topics` (None: all) in time order."""
         wanted = {i: channel for i, channel in self._by_id.items() if topics is None or channel.topic in topics}
         left = 2 * self._file.size
-        for row, identity, time_ns in self._rows():
+        is_walked = self._is_damaged and self._pages is not None
+        for row, identity, time_ns in self._page_rows() if is_walked else self._rows():
             channel = wanted.get(identity)
             if channel is None:
                 continue
-            data = self._data(row, time_ns)
+            data = self._page_data(row, time_ns, "damaged") if is_walked else self._data(row, time_ns)
             if data is None:
                 continue
             left -= len(data)
@@ -101,6 +105,8 @@ class SqliteStorage:
     def close(self) -> None:
         """Close the database."""
         self._file.close()
+        if self._pages is not None:
+            self._pages.close()
 
     def _key_of_messages(self, tables: dict[str, tuple[Column, ...]]) -> str:
         """Return by which column rows are found; check what the table is made of."""
@@ -160,25 +166,29 @@ class SqliteStorage:
         there = {column.name for column in columns if column.is_stored}
         names = ", ".join(name if name in there else "NULL" for name in wanted)
         key = next((column.name for column in columns if column.is_key), "rowid")
-        self._file.begin()
-        most = _MOST_TEXT * 1_000_000 * self._limits.text_mb
+        found: dict[object, tuple[object, ...]] = {}
         faults: list[str] = []
-        try:
-            for count, (row,) in enumerate(self._file.execute(f"SELECT {key} FROM {table} ORDER BY {key}")):
-                try:
-                    values = self._file.execute(f"SELECT {names} FROM {table} WHERE {key} = ?", (row,)).fetchone()
-                except sqlite3.DatabaseError as error:
-                    faults.append(self._file.fault(error))
-                    continue
-                most -= sum(len(value) for value in values or () if isinstance(value, bytes))
-                if most < 0 or count >= _MOST_NAMED:
-                    raise sqlite3.DatabaseError("too many or too long")
-                if values is not None:
-                    yield values
-        except sqlite3.DatabaseError as error:
-            faults.append(self._file.fault(error))
+        left = _MOST_TEXT * 1_000_000 * self._limits.text_mb
+
+        def take(query: str, *values: object) -> None:
+            nonlocal left
+            try:
+                for row, *cells in self._file.execute(query, values):
+                    left -= sum(len(cell) for cell in cells if isinstance(cell, bytes))
+                    if left < 0 or len(found) >= _MOST_NAMED:
+                        raise sqlite3.DatabaseError("too many or too long")
+                    found.setdefault(row, tuple(cells))
+            except sqlite3.DatabaseError as error:
+                faults.append(self._file.fault(error))
+
+        self._file.begin()
+        take(f"SELECT {key}, {names} FROM {table} ORDER BY {key}")
+        if faults and left > 0 and len(found) < _MOST_NAMED:  # a row that cannot be read ends it
+            for row in range(1, 1000):
+                take(f"SELECT {key}, {names} FROM {table} WHERE {key} = ?", row)
         if faults:
             self._warnings.add(f"{self._name}: its table {table} cannot be read whole: {faults[0]}")
+        yield from found.values()
 
     def _summary(self) -> tuple[dict[int, int], int, int]:
         """Return the messages by topic's id, and the first and last time; decide whether rows are to be sorted."""
@@ -191,14 +201,55 @@ class SqliteStorage:
             before = time_ns
         # Sorting reads all rows before it gives the first: of a damaged file, none.
         self._is_sorted = is_falling and not self._is_damaged
+        pages = self._walked() if self._is_damaged else None
+        if pages is not None:
+            known = np.isin(pages.rows[:, 2], list(self._by_id))
+            topics, counts = np.unique(pages.rows[known, 2], return_counts=True)
+            if counts.sum() >= sum(count for identity, count in totals.items() if identity in self._by_id):
+                times = pages.rows[known, 0]
+                totals = dict(zip(topics.tolist(), counts.tolist(), strict=True))
+                first, last = (int(times[0]), int(times[-1])) if len(times) else (0, 0)
+            else:
+                self._pages = None  # not as rosbag2 writes them
         return totals, first if totals else 0, last
+
+    def _walked(self) -> SqlitePages | None:
+        """Return the rows in the file's pages, for what the table does not lead to; the file is walked once."""
+        if not self._is_walked:
+            self._is_walked = True
+            try:
+                self._pages = SqlitePages(self._file.path)
+            except BagError as error:
+                self._warnings.add(f"{self._name}: {error}")
+        return self._pages
+
+    def _page_rows(self) -> Iterator[tuple[int, int, int]]:
+        """Yield (place, topic id, time) of the rows in the pages, by time."""
+        rows = self._pages.rows if self._pages is not None else np.empty((0, 4), np.int64)
+        for time_ns, _, identity, place in map(np.ndarray.tolist, rows):
+            yield place, identity, time_ns
+
+    def _page_data(self, place: int | None, time_ns: int, reason: str) -> bytes | None:
+        """Return the bytes of a message in the pages; None, and a warning, when they cannot be read."""
+        data = None
+        if place is not None and self._pages is not None:
+            try:
+                data = self._pages.data(place, 1_000_000 * self._limits.message_mb)
+            except BagError as error:
+                reason = str(error)
+        if data is None:
+            self._warnings.add(
+                f"{self._name}: the message at {seconds(time_ns)} cannot be read and is skipped: {reason}",
+                kind=f"{self._name}: unreadable messages",
+            )
+        return data
 
     def _rows(self) -> Iterator[tuple[int, int, int]]:
         """Yield (row id, topic id, time) in order.
 
         The table itself is read, never an index, in which rows may be missing. Sorting takes these three alone: sorting
-        whole messages would make SQLite copy the bag into temporary files. A cut file gives its rows until the first
-        page that is missing. A damaged one may give rows again, without an end: each counts once.
+        whole messages would make SQLite copy the bag into temporary files. A damaged file may give
+        rows again, without an end: each counts once. What the table does not lead to comes from its pages.
         """
         is_sorted = self._is_sorted
         order = f"timestamp, {self._key}" if is_sorted else self._key
@@ -227,6 +278,10 @@ class SqliteStorage:
             self._warnings.add(
                 f"{self._name}: cut short or damaged ({self._file.fault(error)}): what could be read was read"
             )
+            pages = self._walked()
+            for time_ns, row, identity, _ in map(np.ndarray.tolist, () if pages is None else pages.rows):
+                if (time_ns if is_sorted else 0, row) > last:
+                    yield row, identity, time_ns
         if not odd and not self._is_damaged:
             self._columns = f"{self._key}, topic_id, timestamp"
         if odd:
@@ -234,18 +289,20 @@ class SqliteStorage:
 
     def _data(self, row: int, time_ns: int) -> bytes | None:
         """Return a message's bytes; None, and a warning, when they cannot be read."""
+        place = None
         try:
             found = self._file.execute(self._data_query, (row,)).fetchone()
-            if found is None or not isinstance(found[0], bytes):
-                raise sqlite3.DatabaseError("its data are missing")
-            data: bytes = found[0]
-            return data
+            if found is not None and isinstance(found[0], bytes):
+                data: bytes = found[0]
+                return data
+            reason = "its data are missing"
+            is_lost = found is None
         except (sqlite3.DatabaseError, MemoryError, OverflowError) as error:
-            self._warnings.add(
-                f"{self._name}: the message at {seconds(time_ns)} cannot be read and is skipped: {error}",
-                kind=f"{self._name}: unreadable messages",
-            )
-            return None
+            reason = str(error)
+            is_lost = not isinstance(error, sqlite3.DataError)  # not too large: pages or their order are damaged
+        if is_lost and (pages := self._walked()) is not None:
+            place = pages.place_of(row, time_ns)
+        return self._page_data(place, time_ns, reason)
 
 
 def _text(value: object) -> str:

@@ -200,7 +200,8 @@ def test_a_cut_sqlite_bag_gives_what_is_there(tmp_path, image_message):
     os.truncate(path, path.stat().st_size * 6 // 10)
     with open_bag([tmp_path / "bag"]) as bag:
         times = [m.time_ns for m in bag.messages()]
-        assert times == list(range(len(times)))
+        assert times[:1000] == list(range(1000))
+        assert times == sorted(set(times))
         assert len(times) > 500
         assert any("cut short or damaged" in w for w in bag.warnings)
 

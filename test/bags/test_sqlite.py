@@ -314,6 +314,45 @@ def test_a_file_shorter_than_its_header_says_is_named(tmp_path, page):
     )
 
 
+@pytest.mark.parametrize("page", [512, 4096])
+@pytest.mark.parametrize("is_in_order", [True, False])
+def test_a_damaged_page_costs_what_is_in_it_alone(tmp_path, page, is_in_order):
+    """Each page of the file in turn is zeros: of a b-tree's inner pages, all leaves are still found."""
+    texts = [f"{i} " * (1 + i % 7 * 40) for i in range(120)]
+    times = [i if is_in_order else i ^ 1 for i in range(120)]
+    rows = [(1, t, cdr(text)) for t, text in zip(times, texts, strict=True)]
+    database(tmp_path / "x.db3", rows=rows, page=page).close()
+    whole = (tmp_path / "x.db3").read_bytes()
+    expected = dict(zip(times, texts, strict=True))
+    counts = []
+    for start in range(2 * page, len(whole), page):
+        (tmp_path / "x.db3").write_bytes(whole[:start] + bytes(page) + whole[start + page :])
+        try:
+            found, warnings = read(tmp_path / "x.db3")
+        except BagError:
+            continue  # the page of the table of topics
+        assert [time_ns for time_ns, _ in found] == sorted({time_ns for time_ns, _ in found})
+        # the end of one text may be zeros: pages have no checksum
+        assert sum(expected[time_ns] != text for time_ns, text in found) <= 1
+        assert len(found) == 120 or warnings
+        counts.append(len(found))
+    assert min(counts) >= 120 - page // 20
+    assert counts.count(120) >= 2  # its index and its inner pages
+
+
+def test_a_row_in_two_pages_comes_once(tmp_path):
+    database(tmp_path / "x.db3", rows=[(1, i, cdr(str(i))) for i in range(300)]).close()
+    whole = (tmp_path / "x.db3").read_bytes()
+    leaves = [i for i in range(0, len(whole), 4096) if whole[i] == 13]
+    inner = [i for i in range(4096, len(whole), 4096) if whole[i] == 5]
+    data = bytearray(whole) + whole[leaves[-1] : leaves[-1] + 4096]
+    data[inner[0] : inner[0] + 4096] = bytes(4096)
+    (tmp_path / "x.db3").write_bytes(data)
+    found, warnings = read(tmp_path / "x.db3")
+    assert found == [(i, str(i)) for i in range(300)]
+    assert "cut short or damaged" in warnings[0]
+
+
 def snapshot(folder):
     return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
 
