@@ -216,6 +216,14 @@ def _rosbag1_bomb() -> bytes:
     return rosbag1.joined(nodes)
 
 
+def _rosbag1_stray() -> bytes:
+    """One message in a chunk is of a connection that nothing defines."""
+    nodes = rosbag1.parsed(rosbag1.seeds()[0])
+    message = next(node for chunk in nodes for node in chunk.inside or [] if dict(node.fields).get(b"op") == b"\2")
+    message.fields = [(k, rosbag1.u32(77) if k == b"conn" else v) for k, v in message.fields]
+    return rosbag1.joined(nodes)
+
+
 def _rosbag1_twice() -> bytes:
     return rosbag1.seeds()[0] + rosbag1.seeds()[1][len(rosbag1.MAGIC) :]
 
@@ -275,7 +283,7 @@ ENTRIES: dict[str, Entry] = {
     "frame_id_with_escapes": _mcap(_frame_ids(_ESCAPES.encode()), _ALL, deep=True),
     "frame_id_a_spreadsheet_runs": _mcap(_frame_ids(b'=HYPERLINK("http://x","y")'), _ALL, deep=True),
     "frame_id_not_utf8": _mcap(_frame_ids(b"\xff\xfe\x80"), _ALL, deep=True),
-    "database_shorter_than_its_header": _mcap(file_of("bag.db3", lambda: sqlite.seeds()[0][: -3 * 4096]), 1, "short"),
+    "database_shorter_than_its_header": _mcap(file_of("bag.db3", lambda: sqlite.seeds()[0][:-4096]), 1, "short"),
     "database_of_generated_blobs": _mcap(_sql(_GENERATED_BLOBS)),
     "database_of_an_endless_view": _mcap(_sql(_ENDLESS_VIEW)),
     "database_of_generated_times": _mcap(_sql(_GENERATED_TIMES)),
@@ -301,6 +309,7 @@ ENTRIES: dict[str, Entry] = {
     "bag_name_not_utf8": _mcap(_odd_name, 1),
     "bag_without_statistics": _mcap(_edited(_without_statistics), _ALL),
     "rosbag1_chunk_of_240_mb": _mcap(file_of("bag.bag", _rosbag1_bomb), 10),
+    "rosbag1_message_of_no_connection": _mcap(file_of("bag.bag", _rosbag1_stray), 14, "definitions of 1 channels"),
     "rosbag1_concatenated": _mcap(file_of("bag.bag", _rosbag1_twice), 15),
 }  # fmt: skip
 

@@ -178,8 +178,7 @@ class ChunkedStorage:
 
     def _messages_of(self, stretch: Stretch, topics: Collection[str] | None) -> Iterator[RawMessage]:
         contents, data = self._contents(stretch)
-        if not self._is_sure or sum(stretch.counts.values()) != len(contents.times):
-            self._check(stretch, contents)
+        self._check(stretch, contents)
         wanted = self._wanted(topics)
         channels, times = contents.channels, contents.times
         for index in contents.in_order():
