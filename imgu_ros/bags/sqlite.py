@@ -184,8 +184,11 @@ class SqliteStorage:
         self._file.begin()
         take(f"SELECT {key}, {names} FROM {table} ORDER BY {key}")
         if faults and left > 0 and len(found) < _MOST_NAMED:  # a row that cannot be read ends it
+            # Of a long row, the first columns may be whole.
+            first = ", ".join(name if name in there and index < 3 else "NULL" for index, name in enumerate(wanted))
             for row in range(1, 1000):
-                take(f"SELECT {key}, {names} FROM {table} WHERE {key} = ?", row)
+                for columns_there in (names, first):
+                    take(f"SELECT {key}, {columns_there} FROM {table} WHERE {key} = ?", row)
         if faults:
             self._warnings.add(f"{self._name}: its table {table} cannot be read whole: {faults[0]}")
         yield from found.values()

@@ -286,6 +286,24 @@ def test_many_topics_and_long_texts(tmp_path):
         assert "its table topics cannot be read whole: too many or too long" in bag.warnings[0]
 
 
+def test_a_topic_whose_row_goes_on_in_a_lost_page(tmp_path):
+    """Its quality of service is long, and the hash behind it is lost: name and type are whole."""
+    connection = sqlite3.connect(tmp_path / "x.db3")
+    connection.execute(f"{TOPICS[:-1]}, offered_qos_profiles TEXT, type_description_hash TEXT)")
+    for row in (("/other", "x"), ("/text", "q" * 9000), ("/third", "x")):
+        connection.execute("INSERT INTO topics VALUES(NULL, ?, 'std_msgs/msg/String', 'cdr', ?, 'RIHS01_0')", row)
+    connection.execute(MESSAGES)
+    connection.executemany("INSERT INTO messages VALUES(NULL, ?, ?, ?)", [(2, 1, cdr("a")), (3, 2, cdr("b"))])
+    connection.commit()
+    connection.close()
+    data = (tmp_path / "x.db3").read_bytes()
+    second = data.index(b"q" * 4000, data.index(b"q" * 4000) + 4000) // 4096 * 4096
+    (tmp_path / "x.db3").write_bytes(data[: second - 4096] + bytes(4096) + data[second:])
+    found, warnings = read(tmp_path / "x.db3")
+    assert found == [(1, "a"), (2, "b")]
+    assert any("its table topics cannot be read whole" in line for line in warnings)
+
+
 def test_a_schema_of_a_hundred_thousand_tables_is_refused(tmp_path):
     connection = database(tmp_path / "x.db3")
     connection.execute("PRAGMA writable_schema = ON")
