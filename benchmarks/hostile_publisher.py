@@ -63,7 +63,7 @@ def main() -> int:
         sent[kind] += 1
         due_s = max(due_s + 1 / arguments.rate, time.monotonic() - 1.0)
         time.sleep(max(0.0, due_s - time.monotonic()))
-    print(json.dumps(dict(sorted(sent.items()))))
+    print(json.dumps({"images": sender.images} | dict(sorted(sent.items()))))
     rclpy.try_shutdown()
     return 0
 
@@ -95,8 +95,9 @@ class _Sender:
         self._noise = rng.randbytes(640 * 480)
         self._large = bytes(1920 * 1080 * 3)
         self._number = 0
+        self.images = 0
         self._kinds: dict[str, Callable[[], None]] = {
-            "lying image": lambda: self._image.publish(self._images.image(self._kind())),
+            "lying image": lambda: self._publish_image(self._images.image(self._kind())),
             "lying camera_info": lambda: self._info.publish(self._infos.info(self._info_type())),
             "no message": self._no_message,
             "noise of the good size": lambda: self._readable(self._images, 640, 480, "mono8", self._noise),
@@ -118,6 +119,10 @@ class _Sender:
             return f"{kind}, not sent"
         return kind
 
+    def _publish_image(self, message: Any) -> None:
+        self._image.publish(message)
+        self.images += 1
+
     def _no_message(self) -> None:
         from rclpy.serialization import serialize_message
 
@@ -129,7 +134,7 @@ class _Sender:
             info[: rng.randrange(len(info))], info, image, b"\7" + image[1:], b"\0\1\0\0" + b"\xff" * 64,
         ))  # fmt: skip
         on_images = data is info or rng.random() < 0.7
-        (self._image if on_images else self._info).publish(data)
+        (self._publish_image if on_images else self._info.publish)(data)
 
     def _readable(self, liar: Liar, width: int, height: int, encoding: str, data: bytes) -> None:
         message = liar.header(self._kind())
@@ -139,7 +144,7 @@ class _Sender:
             set_data(message, data)
         else:
             message = liar.image(message)
-        self._image.publish(message)
+        self._publish_image(message)
 
     def _random_frame_id(self) -> None:
         self._number += 1
@@ -147,7 +152,7 @@ class _Sender:
         image.header = info.header
         info.header.frame_id = f"camera {self._number}"
         self._info.publish(info)
-        self._image.publish(image)
+        self._publish_image(image)
 
     def _endless_info(self) -> None:
         info = self._infos.info(self._info_type())
@@ -160,7 +165,7 @@ class _Sender:
     def _endless_frame_id(self) -> None:
         image = self._images.image(self._kind())
         image.header.frame_id = f"{self._number}" + "z" * 1_000_000
-        self._image.publish(image)
+        self._publish_image(image)
 
     def _parameters(self) -> None:
         from rcl_interfaces.msg import Parameter, ParameterValue

@@ -199,6 +199,7 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker
         "lost": counters.lost,
         "skipped": source.slot.skipped,
         "rejected": worker.rejected + source.unread,
+        "unreadable": source.unread,
         "unknown_encodings": worker.unknown_encodings,
         "camera_info_rate_hz": source.infos.rate_hz(now),
         "unmatched_camera_info": source.unmatched,
