@@ -394,7 +394,7 @@ class LimitsParameters:
     )
     expansion: int = parameter(
         1000,
-        "Bytes that a compressed byte may become, beyond the first 1000 MB of a bag's file.",
+        "Bytes that a compressed byte may become, beyond the first 1000 MB of a file (chunks and messages: 2000 MB).",
         minimum=1,
         maximum=1_000_000,
     )

@@ -195,7 +195,7 @@ class ChunkedStorage:
             for identity in counts.keys() - self._by_id.keys():
                 if identity in self._definitions.channels:
                     self._by_id[identity] = self._channel(self._definitions.channels[identity])
-            self._warn_of_lost(counts.keys() - self._by_id.keys())
+        self._warn_of_lost(counts.keys() - self._by_id.keys())
 
     def _contents(self, stretch: Stretch) -> tuple[Contents, memoryview]:
         """Return what is in a chunk, and its data; of a damaged one what can be had, with a warning."""

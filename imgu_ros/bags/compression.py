@@ -30,8 +30,9 @@ _FIRST_FEED = 2**12
 _AT_ONCE = 2**24
 #: zstd's own default for streams: 128 MB.
 _ZSTD_OPTIONS: dict[int, int] = {zstd.DecompressionParameter.window_log_max: 27}
-#: Bytes of a bag's file that may come of any few: black pictures become less than a thousandth.
-FREE_EXPANSION = 1_000_000_000
+#: Bytes that may come of any few, of a file on the disk and of chunks or messages one by one: black pictures become
+#: less than a thousandth.
+_FREE_ON_DISK, _FREE_IN_PASSING = 1_000_000_000, 2_000_000_000
 #: Of the disk that temporary copies are on, this stays free; of a small one, a tenth.
 _RESERVE = 500_000_000
 _CHECK_DISK_EVERY = 64_000_000
@@ -40,11 +41,11 @@ _MOST_UNANNOUNCED = 2**23
 
 
 class Expansion:
-    """Watches how many bytes compressed ones become, in one file: beyond `FREE_EXPANSION`, `limits.expansion` each."""
+    """Watches what a file's compressed chunks or messages become: from 2 GB on, `limits.expansion` times as much."""
 
     def __init__(self, limits: LimitsParameters) -> None:
         self._factor = limits.expansion
-        self._left = FREE_EXPANSION
+        self._left = _FREE_IN_PASSING
 
     def take(self, packed: int, size: int) -> None:
         """Count `size` bytes that come of `packed` ones; BagError, and they do not count, when they are too many."""
@@ -154,7 +155,7 @@ def decompress_file(source: Path, target: Path, limits: LimitsParameters, space:
             blocks = iter(lambda: packed.read(_BLOCK), b"")
             for piece in _zstd_pieces(blocks, _BLOCK):
                 reason = ""
-                if size + len(piece) > FREE_EXPANSION + limits.expansion * packed.tell():
+                if size + len(piece) > _FREE_ON_DISK + limits.expansion * packed.tell():
                     reason = f"need at most {limits.expansion} times as many bytes (limits.expansion)"
                 reason = reason or space.take(len(piece), target.parent)
                 if reason:

@@ -122,10 +122,13 @@ def _as_bag_errors(type_name: str) -> Iterator[None]:
     """Raise `BagError` for whatever damaged bytes provoke: the generated deserialisers let it through."""
     try:
         yield
+        return
     except BagError:
         raise
     except Exception as error:
-        raise BagError(f"{type_name}: {_one_line(error)}; need bytes of this type") from None
+        reason = _one_line(error)
+        error.__traceback__ = None  # it would hold the bytes of the message, in a circle
+    raise BagError(f"{type_name}: {reason}; need bytes of this type")
 
 
 @lru_cache(maxsize=64)  # parsing a definition takes longer than reading a frame

@@ -32,6 +32,7 @@ from imgu_ros.bags.mcap_search import (
     candidates,
     chunk_at,
     chunk_candidates,
+    chunk_end,
     is_followed,
     is_record,
     mcap_chunks,
@@ -300,13 +301,22 @@ class _Walk:
         if self.last is not None and not self.last.is_run:
             self.last.is_counted = False  # its message indexes may be among what is broken
         self.close_stretch()
-        for at in find(self.file, start + 1, self.file.size):
-            if self.file.head(at, len(MAGIC)) == MAGIC:
-                self.next_file = at + len(MAGIC)
-                self.remark(f"another file follows at byte {at}: read on")
-            if self.next_file >= 0 or is_record(self.file, at, self.before, self.found.definitions.channels.keys()):
-                self.found.gaps.append(Gap(broken if at > broken else start, at))
-                self.sure = at
-                return at
+        at, lone_end = self.file.size, self.file.size
+        for place in find(self.file, start + 1, self.file.size):
+            if place >= lone_end:
+                break  # nothing better in the chunk that nothing follows: it counts
+            if self.file.head(place, len(MAGIC)) == MAGIC:
+                self.next_file = place + len(MAGIC)
+                self.remark(f"another file follows at byte {place}: read on")
+            if self.next_file >= 0 or is_record(self.file, place, self.before, self.found.definitions.channels.keys()):
+                at = place
+                break
+            if at == self.file.size:
+                end = chunk_end(self.file, place)
+                at, lone_end = (place, end) if end else (at, lone_end)
+        if at < self.file.size:
+            self.found.gaps.append(Gap(broken if at > broken else start, at))
+            self.sure = at
+            return at
         self.found.gaps.append(Gap(broken, self.file.size))
         return self.file.size

@@ -22,7 +22,8 @@ from imgu_ros.errors import BagError
 
 LAST_KNOWN_OPCODE = 0x0F
 
-_SEARCH_BYTES = 2**20
+#: A search mostly ends soon.
+_FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
 # Chunks, messages and definitions whose length is below 2^40, the ends of data and file; each match is one byte, so
 # that none hides another.
 _CHUNK = rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))"
@@ -82,12 +83,15 @@ def chunk_candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
 
 
 def _matches(file: ByteFile, start: int, end: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
-    for at in range(start, end, _SEARCH_BYTES):
-        block = file.read(at, min(_SEARCH_BYTES + HEAD_BYTES, end - at))
+    at, size = start, _FIRST_SEARCH_BYTES
+    while at < end:
+        block = file.read(at, min(size + HEAD_BYTES, end - at))
         for match in pattern.finditer(block):
-            if match.start() >= _SEARCH_BYTES:
+            if match.start() >= size:
                 break
             yield at + match.start()
+        at += size
+        size = min(2 * size, _SEARCH_BYTES)
 
 
 def is_record(file: ByteFile, at: int, before: Stretch | None, known: Collection[int]) -> bool:
@@ -105,7 +109,7 @@ def is_record(file: ByteFile, at: int, before: Stretch | None, known: Collection
         if end > file.size:
             return False
         if opcode == Opcode.CHUNK:
-            return chunk_header(head, length).compression in COMPRESSIONS
+            return chunk_header(head, length).compression in COMPRESSIONS and is_followed(file, end)
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             return _texts_end(file, opcode, at) <= end and is_followed(file, end)
         if opcode != Opcode.MESSAGE:
@@ -119,6 +123,18 @@ def is_record(file: ByteFile, at: int, before: Stretch | None, known: Collection
     if before is not None and before.is_run and channel_id in before.counts and abs(time_ns - before.end_ns) < _HOUR_NS:
         return is_followed(file, end)
     return is_followed(file, end, _CHAINED if channel_id in known else 2 * _CHAINED)
+
+
+def chunk_end(file: ByteFile, at: int) -> int:
+    """Return where the chunk at `at` ends that is consistent in itself; 0 when there is none."""
+    head = file.head(at, HEAD_BYTES)
+    try:
+        opcode, length = prefix(head)
+        is_chunk = opcode == Opcode.CHUNK and chunk_header(head, length).compression in COMPRESSIONS
+    except BagError:
+        return 0
+    end = at + PREFIX.size + length
+    return end if is_chunk and end <= file.size else 0
 
 
 def is_followed(file: ByteFile, end: int, times: int = 1) -> bool:

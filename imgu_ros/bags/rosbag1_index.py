@@ -30,7 +30,8 @@ from imgu_ros.errors import BagError
 from imgu_ros.params import LimitsParameters
 
 _HEAD_BYTES = 2**8
-_SEARCH_BYTES = 2**20
+#: A search mostly ends soon.
+_FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
 _INDEX_BYTES = 12 * 2**16
 #: Messages outside of chunks are read in stretches of about this size.
 _STRETCH_BYTES = 2**22
@@ -265,9 +266,12 @@ def _header_at(file: ByteFile, at: int) -> RecordHeader:
 
 def _candidates(file: ByteFile, start: int, end: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
     """Yield the places where something that looks like a record begins, in their order."""
-    for at in range(start, end, _SEARCH_BYTES):
-        block = file.read(at, min(_SEARCH_BYTES + _HEAD_BYTES, end - at))
+    at, size = start, _FIRST_SEARCH_BYTES
+    while at < end:
+        block = file.read(at, min(size + _HEAD_BYTES, end - at))
         for match in pattern.finditer(block):
-            if match.start() >= _SEARCH_BYTES:
+            if match.start() >= size:
                 break
             yield at + match.start()
+        at += size
+        size = min(2 * size, _SEARCH_BYTES)
