@@ -7,8 +7,8 @@ Three processes: `imgu node perception`; `benchmarks/hostile_publisher.py`, whic
 calls the services; and this one, which publishes simulated 640x480 Bayer frames with their camera_info at 30 Hz and
 hears what becomes of each. Every good frame must come out as a pose, or be accounted for: lost on the way by the
 middleware (of all that was sent what did not come), or skipped by the node (`/diagnostics` counts), hostile frames
-included in both. What is not is `unexplained`, and a frame that came out without a pose is counted with its reason: both
-are the node's fault. The node's memory (resident less shared, every second) is compared between the second tenth of the
+included in both. What is not is `unexplained`, and a frame that came out without a pose is counted with its reason:
+both are the node's fault. The node's memory (resident less shared, every second) is compared between the second tenth of the
 time and the last; in the first minutes the middleware's queues grow to the largest messages that came.
 
 Prints a line a minute, writes the JSON every five minutes (`"complete": false`) and at the end, and ends with 1 when
@@ -88,6 +88,8 @@ def main() -> int:
         soak = Soak(arguments, frames, node.pid, log)
         try:
             soak.wait_for_first_pose()
+            if not arguments.hostile_rate:
+                soak.hostile = {"images": 0}
             if arguments.hostile_rate:
                 hostile = _started(
                     [str(_HERE / "hostile_publisher.py"), "--rate", str(arguments.hostile_rate),
