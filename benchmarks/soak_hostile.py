@@ -8,8 +8,8 @@ calls the services; and this one, which publishes simulated 640x480 Bayer frames
 hears what becomes of each. Every good frame must come out as a pose, or be accounted for: lost on the way by the
 middleware (of all that was sent what did not come), or skipped by the node (`/diagnostics` counts), hostile frames
 included in both. What is not is `unexplained`, and a frame that came out without a pose is counted with its reason:
-both are the node's fault. The node's memory (resident less shared, every second) is compared between the second tenth of the
-time and the last; in the first minutes the middleware's queues grow to the largest messages that came.
+both are the node's fault. The node's memory (resident less shared, every second) is compared between the second tenth
+of the time and the last; in the first minutes the middleware's queues grow to the largest messages that came.
 
 Prints a line a minute, writes the JSON every five minutes (`"complete": false`) and at the end, and ends with 1 when
 the node ended or complained of an error of its own, a good frame was lost by its fault, a pose came out of a hostile
