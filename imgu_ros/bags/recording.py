@@ -19,7 +19,7 @@ from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.encodings import Encoding, encoding_named
 from imgu_ros.codec.header import Header
 from imgu_ros.codec.image import image_message
-from imgu_ros.errors import ParameterError
+from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.images import write_image
 from imgu_ros.files.text_files import write_text
 from imgu_ros.perception.targets import TargetImage
@@ -94,6 +94,7 @@ def record_simulation(
     encoding = simulated_encoding(bag_format.encoding)
     simulation = replace(simulation, layout=encoding.layout)
     _check_format(bag_format, encoding, simulation.sensor)
+    _check_path(out)
     targets = tuple(targets) if targets is not None else default_targets(1, simulation.seed)
     contents, name = _contents(out, targets, bag_format.storage), _bag_name(out)
     check_output_folder(out, contents, overwrite=overwrite)
@@ -144,6 +145,13 @@ def simulated_encoding(name: str) -> Encoding:
     if encoding.layout.color not in colors or encoding.dtype not in (np.dtype(np.uint8), np.dtype(np.uint16)):
         raise ParameterError(f"encoding: {name!r}; need bayer_*8, bayer_*16, mono8, mono16, rgb8, rgb16, bgr8 or bgr16")
     return encoding
+
+
+def _check_path(out: Path) -> None:
+    try:
+        os.path.realpath(out).encode()
+    except UnicodeEncodeError:
+        raise FileError(f"{out}: a path that is not UTF-8; need one: params.yaml and metadata.yaml name it") from None
 
 
 def _check_format(bag_format: BagFormat, encoding: Encoding, sensor: Sensor | None) -> None:

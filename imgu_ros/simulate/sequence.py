@@ -32,8 +32,8 @@ from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 
 #: Light on a white surface, as a share of what saturates the sensor, without exposure compensation.
 _EXPOSURE = 0.9
-#: Every frame leaves its truth in memory, and one of so many pixels takes 25 bytes for each while it is made.
-_MOST_FRAMES, _MOST_PIXELS = 1_000_000, 2**27
+#: Every frame leaves its truth in memory, and takes 25 bytes a pixel while it is made, up to four at once.
+_MOST_FRAMES, _MOST_PIXELS = 1_000_000, 2**26
 #: Part of the motion over which the path is well described by one cubic.
 _SMOOTH_PROGRESS = 0.01
 #: A plausible lens for each model.
@@ -199,9 +199,7 @@ def check_simulation(simulation: Simulation) -> None:
     if not (32 <= width <= 16384 and 32 <= height <= 16384):
         raise ParameterError(f"size: {width}x{height}; need 32x32 to 16384x16384")
     if width * height > _MOST_PIXELS:
-        raise ParameterError(
-            f"size: {width}x{height}: {width * height} px; need at most {_MOST_PIXELS}, 3 GB of memory"
-        )
+        raise ParameterError(f"size: {width}x{height}: {width * height} px; need at most {_MOST_PIXELS}")
     if simulation.layout.color is ColorModel.BAYER and (width % 2 or height % 2):
         raise ParameterError(f"size: {width}x{height}; need even numbers for a Bayer pattern")
     if not 1 <= simulation.frames <= _MOST_FRAMES:
