@@ -9,6 +9,7 @@ from itertools import islice
 
 import numpy as np
 
+from imgu_ros.arguments import shown_value
 from imgu_ros.bench.figures import Figures, figures
 from imgu_ros.bench.lineup import DETECTION, METHODS, ORB, SIFT, TRACKING, check_method, make_method
 from imgu_ros.bench.measuring import Show, measure, measure_in_turn
@@ -23,6 +24,7 @@ from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.trials import LAP_FRAMES, WIDTH_M, Trial, known_targets, trial_batches
 from imgu_ros.types import Choice, Image
 
+_MOST = 1_000_000
 SEQUENCE, SINGLE, ABSENT = "sequence", "single", "absent"
 IN_VIEW = 3
 KNOWN = (IN_VIEW, 100)
@@ -112,8 +114,8 @@ def check_options(options: Options) -> None:
         ("negatives", options.negatives),
         ("frames of the long sequence", options.length_frames),
     ):
-        if count < 1:
-            raise ParameterError(f"{name}: {count}; need at least 1")
+        if not 1 <= count <= _MOST:
+            raise ParameterError(f"{name}: {shown_value(count)}; need 1 to {_MOST}")
     for name in options.methods:
         check_method(name)
     if not (options.sizes and options.seeds and options.conditions and options.methods):

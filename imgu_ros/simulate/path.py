@@ -14,6 +14,7 @@ from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 
 _OPTICAL = np.diag([1.0, -1.0, -1.0])  # camera axes right, down, forward from scene axes right, up, towards
+_MOST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +55,11 @@ def camera_from_scene_at(
     ShapeError
         If the motion is not one that keeps the scene in front of the camera.
     """
-    if not (motion.zoom >= 1 and 0 <= motion.tilt_rad < math.pi / 2 and motion.fill > 0):
-        got = f"zoom {motion.zoom:g}, tilt {math.degrees(motion.tilt_rad):g} deg, fill {motion.fill:g}"
-        raise ShapeError(f"motion: {got}; need zoom >= 1, tilt from 0 to below 90 deg, fill > 0")
+    possible = 1 <= motion.zoom <= _MOST and 0 <= motion.tilt_rad < math.pi / 2 and 0 < motion.fill <= _MOST
+    if not (possible and abs(motion.turns) <= _MOST):
+        got = f"zoom {motion.zoom:g}, tilt {math.degrees(motion.tilt_rad):g} deg, fill {motion.fill:g}, "
+        need = f"zoom 1 to {_MOST:g}, tilt from 0 to below 90 deg, fill above 0, turns of at most {_MOST:g}"
+        raise ShapeError(f"motion: {got}turns {motion.turns:g}; need {need}")
     rng = np.random.default_rng([seed, 0xCA3E])
     tilt0, azimuth0, distance0, drift_x0, drift_y0, roll0 = rng.uniform(0, 2 * math.pi, 6)
     turn = 2 * math.pi * progress

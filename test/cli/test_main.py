@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import ast
 import os
 import re
 import subprocess
@@ -154,3 +155,45 @@ def test_a_full_disk_is_one_line() -> None:
         )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr == "imgu: error: output: No space left on device; need room for what is written\n"
+
+
+def test_what_is_printed_goes_through_one_place() -> None:
+    """Where names from outside become harmless; `imgu params --yaml` is for programs, and exact."""
+    package = Path(str(main_module.__file__)).parent
+    allowed = {("terminal.py", "print"), ("params.py", "write")}
+    found = {
+        (path.name, name)
+        for path in package.glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and (name := ast.unparse(node.func).removeprefix("sys.stdout.").removeprefix("sys.stderr."))
+        in ("print", "write", "writelines")
+    }
+    assert found == allowed
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["caf\x1b[2J\udce9"],
+        ["replay", "--x\x1b[2J\u202e"],
+        ["node", "\x1b[2J"],
+        ["warp", "a\x1b[2J", "b.png", "--scale", "2"],
+    ],
+)
+def test_arguments_do_not_act_on_the_terminal(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(argv) in (1, 2)
+    said = capsys.readouterr()
+    assert "\x1b" not in said.err + said.out and "\u202e" not in said.err
+
+
+def test_a_terminal_without_the_characters_gets_escapes(tmp_path: Path) -> None:
+    (name := tmp_path / "caf\udce9漢\n").mkdir()
+    ascii_only = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-m", "imgu_ros.cli.main", "replay", os.fsencode(name), "--out", tmp_path / "out"],
+        env=os.environ | ascii_only, capture_output=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"imgu: error: ") and done.stderr.count(b"\n") == 1
+    assert rb"caf\udce9" in done.stderr and rb"\n" in done.stderr
