@@ -188,8 +188,9 @@ def mcap_file(layout: Layout) -> bytes:
     start = len(joined(nodes)) if layout.summary else 0
     if layout.summary:
         count = len(layout.messages)
-        first, last = layout.messages[0].time_ns, layout.messages[-1].time_ns
-        statistics = struct.pack("<QHIIIIQQ", count, len(ids), len(ids), 0, 0, len(summary), first, last)
+        times = (min(m.time_ns for m in layout.messages), max(m.time_ns for m in layout.messages))
+        chunks = sum(node.opcode == CHUNK for node in nodes)
+        statistics = struct.pack("<QHIIIIQQ", count, len(ids), len(ids), 0, 0, chunks, *times)
         nodes += [*summary, Node(11, statistics + string(b"".join(struct.pack("<HQ", i, 3) for i in ids.values())))]
     return joined([*nodes, Node(FOOTER, struct.pack("<QQI", start, 0, 0)), Node(-1, MAGIC)])
 
