@@ -205,8 +205,8 @@ def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
     from imgu_ros.errors import ParameterError
     from imgu_ros.simulate.sequence import default_targets
 
-    if not (math.isfinite(arguments.width_m) and arguments.width_m > 0):
-        raise ParameterError(f"width: {arguments.width_m:g} m; need more than 0")
+    if not 1e-6 <= arguments.width_m <= 1e4:
+        raise ParameterError(f"width: {arguments.width_m:g} m; need more than 0: 0.000001 to 10000")
     if not arguments.template:
         count = 1 if arguments.targets is None else arguments.targets
         if not 1 <= count <= 64:
