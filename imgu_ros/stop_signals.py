@@ -42,7 +42,6 @@ def stop_signals() -> Iterator[None]:
 
     A signal that was ignored when the process began stays ignored (nohup). Does nothing but in the main thread.
     """
-    _State.requested = _State.held = 0
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -54,6 +53,7 @@ def stop_signals() -> Iterator[None]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+        _State.requested = _State.held = 0
 
 
 def requested() -> int:

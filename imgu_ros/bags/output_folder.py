@@ -14,7 +14,7 @@ from imgu_ros.bags.earlier_files import EarlierFiles, EarlierRun
 from imgu_ros.bags.folder_lock import LOCK, FolderLock, last_work_ns, locked_folder
 from imgu_ros.bags.manifest import MANIFEST, read_manifest, write_manifest
 from imgu_ros.errors import FileError
-from imgu_ros.files.whole_files import part_path, sync_file
+from imgu_ros.files.whole_files import file_errors, part_path, sync_file
 
 #: How often a run that writes says so.
 _AT_WORK_S = 0.5
@@ -74,6 +74,20 @@ class RunFolder:
         if (status.st_dev, status.st_ino) != (self.device, self.inode):
             raise FileError(f"{self.path}: replaced meanwhile; need a folder that stays while it is written to")
         os.utime(self.lock)
+
+    def make(self, name: str) -> Path:
+        """Make a folder in this one, and never this one again, should it be gone; return its path.
+
+        Raises
+        ------
+        FileError
+            If it cannot be made.
+        """
+        self.renew()
+        path = self.path / name
+        with file_errors(path):
+            path.mkdir()
+        return path
 
     def publish(self, *moves: tuple[str, str]) -> None:
         """Give complete files, or folders of them, their names, in order.

@@ -106,7 +106,8 @@ def record_simulation(
         folder = stack.enter_context(output_folder(out, contents, overwrite=overwrite))
         _write_side_files(out, targets, simulation.sensor)
         unfinished = f"{_UNFINISHED}/{name}"
-        bag = stack.enter_context(BagWriter(out / unfinished, bag_format.storage, bag_format.compression))
+        place = folder.make(_UNFINISHED) / name
+        bag = stack.enter_context(BagWriter(place, bag_format.storage, bag_format.compression))
         done = 0
         while pending is not None:
             frame = pending.frame

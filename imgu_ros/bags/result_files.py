@@ -21,7 +21,8 @@ from imgu_ros.report.samples import Samples
 FRAMES, REPORT, SUMMARY = "frames.csv", "report.html", "summary.json"
 RESULTS = "results"
 #: The results bag while it is written.
-_UNFINISHED = f"{RESULTS}.part/{RESULTS}"
+_PART = f"{RESULTS}.part"
+_UNFINISHED = f"{_PART}/{RESULTS}"
 
 
 def replay_contents(targets: Sequence[str]) -> Contents:
@@ -84,7 +85,8 @@ class BagFiles:
         self._frames = 0
         self._folder = files.folder
         self._is_whole = True
-        self._messages = ResultsBag(files.folder.path / _UNFINISHED, files.parameters, files.targets, files.record)
+        unfinished = self._folder.make(_PART) / RESULTS
+        self._messages = ResultsBag(unfinished, files.parameters, files.targets, files.record)
 
     def __enter__(self) -> Self:
         return self
