@@ -197,17 +197,16 @@ def kill(place: Path, command: Undisturbed, commands: dict[str, Undisturbed], ki
             shutil.copytree(earlier, out, dirs_exist_ok=True)
         put_user_files(out, place)
         users = {name: value for name, value in contents(out).items() if is_users(name)}
-        outside = contents(place / "outside")
+        outside, before = contents(place / "outside"), contents(out)
         run, text = disturbed(place, out, command, kind, after_s, None if is_mounted or not is_full else limit)
         run.overwrites = earlier is not None
-        if kind == "folder renamed" and (place / "away").exists():
-            if out.exists():
-                run.wrong.append("the folder was made again")
-            out = place / "away"
-        if kind == "folder removed" and (place / "removed").exists():
-            if out.exists():
-                run.wrong.append("the folder was made again")
-        else:
+        is_away = (place / "away").exists() or (place / "removed").exists()
+        if is_away and out.exists():  # taken away before the run had come to it
+            look(run, out, command.out, None, contents(out))
+            if run.state != "complete" or ((place / "away").exists() and contents(place / "away") != before):
+                run.wrong.append("the folder was made again by a run that had begun")
+        elif not (place / "removed").exists():
+            out = place / "away" if is_away else out
             found = contents(out)
             if {name: value for name, value in found.items() if is_users(name)} != users:
                 run.wrong.append("the user's files changed")

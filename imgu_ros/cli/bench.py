@@ -19,8 +19,10 @@ processors together (cpu), which other processes disturb less; it says when they
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +30,7 @@ from imgu_ros.cli.options import add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
+    from imgu_ros.bags.output_folder import RunFolder
     from imgu_ros.bench.machine import Machine, ProcessorUse
     from imgu_ros.bench.suites import Options, Row
     from imgu_ros.types import Image
@@ -74,24 +77,25 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.cli.progress import Progress
 
     check_options(options)
-    if arguments.out:
-        _make_folder(arguments.out)
     machine, begin = this_machine(), processor_times()
     rows: list[Row] = []
     use: ProcessorUse | None = None
-    with Progress("bench", "rows") as progress:
-        for row in run_suite(arguments.suite, options):
-            rows.append(row)
-            progress(len(rows), None)
-            now = processor_times()
-            use = processor_use(begin, now) if begin and now else None
-            if arguments.out:  # what is measured is kept, whatever happens to the rest
-                _write_json(arguments, machine, use, rows)
-    where = f"{machine.described()}\n{use.described() if use else 'what else the machine did is not known'}"
-    say(*where.split("\n"), "", *tables(rows, markdown=arguments.markdown).split("\n"))
-    if arguments.out:
-        _write_rest(arguments.out, where, rows)
-        say("", f"{arguments.out}: {', '.join(n for n in (JSON, TABLE, PLOT) if (arguments.out / n).exists())}")
+    with _output_folder(arguments.out) as folder:
+        with Progress("bench", "rows") as progress:
+            for row in run_suite(arguments.suite, options):
+                rows.append(row)
+                progress(len(rows), None)
+                now = processor_times()
+                use = processor_use(begin, now) if begin and now else None
+                if folder is not None:  # what is measured is kept, whatever happens to the rest
+                    folder.renew()
+                    _write_json(arguments, machine, use, rows)
+        where = f"{machine.described()}\n{use.described() if use else 'what else the machine did is not known'}"
+        say(*where.split("\n"), "", *tables(rows, markdown=arguments.markdown).split("\n"))
+        if folder is not None:
+            folder.renew()
+            _write_rest(folder.path, where, rows)
+            say("", f"{folder.path}: {', '.join(n for n in (JSON, TABLE, PLOT) if (folder.path / n).exists())}")
     return 0
 
 
@@ -129,13 +133,16 @@ def _photographs(folder: Path) -> tuple[Image, ...]:
     return tuple(pictures)
 
 
-def _make_folder(folder: Path) -> None:
-    from imgu_ros.errors import FileError
+@contextlib.contextmanager
+def _output_folder(out: Path | None) -> Iterator[RunFolder | None]:
+    """Replace the files of an earlier measurement, nothing else."""
+    if out is None:
+        yield None
+        return
+    from imgu_ros.bags.output_folder import Contents, output_folder
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{folder}: {error.strerror}; need a folder that can be written") from None
+    with output_folder(out, Contents("bench", (JSON, TABLE, PLOT), JSON), overwrite=True) as folder:
+        yield folder
 
 
 def _write_json(arguments: argparse.Namespace, machine: Machine, use: ProcessorUse | None, rows: list[Row]) -> None:
