@@ -27,8 +27,6 @@ from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
 from imgu_ros.params import LimitsParameters
 
-#: Rows of a damaged file that may come again, beyond as many as came once, before reading stops.
-_MANY_REPEATED = 100
 #: Rows of the tables `topics` and `message_definitions`, and their texts together, in `limits.text_mb`.
 _MOST_NAMED, _MOST_TEXT = 65_536, 16
 _FIRST = -(2**63)
@@ -257,7 +255,7 @@ class SqliteStorage:
         is_sorted = self._is_sorted
         order = f"timestamp, {self._key}" if is_sorted else self._key
         last = (_FIRST, _FIRST)
-        given = repeated = odd = 0
+        odd = 0
         self._file.begin()
         try:
             # not fetchmany: it loses the rows before a missing page
@@ -268,14 +266,10 @@ class SqliteStorage:
                     odd += 1
                     continue
                 place = (time_ns if is_sorted else 0, row)
-                if place > last:
-                    last = place
-                    given += 1
-                    yield row, identity, time_ns
-                    continue
-                repeated += 1
-                if repeated > given + _MANY_REPEATED:
-                    raise sqlite3.DatabaseError("rows come again and again")
+                if place <= last:
+                    raise sqlite3.DatabaseError("rows are out of order, or come again")
+                last = place
+                yield row, identity, time_ns
         except sqlite3.DatabaseError as error:
             self._is_damaged = True
             self._warnings.add(
