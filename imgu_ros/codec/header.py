@@ -13,6 +13,7 @@ from imgu_ros.errors import EncodingError
 #: Characters of a frame_id that goes on as it is.
 LONGEST_FRAME_ID = 1024
 _KEPT = 100
+_PIECE = 1 << 20
 
 _SECOND_NS = 1_000_000_000
 _INT32 = range(-(2**31), 2**31)
@@ -44,7 +45,9 @@ def frame_name(given: str) -> str:
     """
     if len(given) <= LONGEST_FRAME_ID:
         return given.lstrip("/")
-    checksum = zlib.crc32(given.encode("utf-8", "surrogatepass"))
+    checksum = 0
+    for start in range(0, len(given), _PIECE):  # no second copy of a name that is as long as that
+        checksum = zlib.crc32(given[start : start + _PIECE].encode("utf-8", "surrogatepass"), checksum)
     return f"{given[:_KEPT].lstrip('/')}...({len(given)} characters, CRC-32 {checksum:08x})...{given[-_KEPT:]}"
 
 
