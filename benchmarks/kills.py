@@ -43,6 +43,7 @@ from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recording import _contents
 from imgu_ros.bags.result_files import replay_contents
 from imgu_ros.errors import ImguError
+from imgu_ros.files.text_files import write_text
 from imgu_ros.simulate.sequence import default_targets
 
 KINDS = ("SIGKILL", "SIGKILL to all", "SIGTERM", "SIGTERM to all", "SIGINT", "full disk", "folder removed",
@@ -120,14 +121,23 @@ def main() -> int:
             command = commands[rng.choice(list(commands))]
             run = kill(work / f"run_{number}", command, commands, kind, rng)
             runs.append(run)
+            if arguments.out:  # what is measured is kept, whatever happens to the rest
+                write_text(arguments.out, json.dumps(summed_up(runs, arguments.seed), indent=1) + "\n")
             told = "; ".join(run.wrong) or "ok"
             print(
                 f"{number:3} {run.command:18} {kind:16} {run.after_s:5.1f} s  code {run.code}  {run.state:9} {told}",
                 flush=True,
             )
-    figures = {
+    figures = summed_up(runs, arguments.seed)
+    print(json.dumps({name: value for name, value in figures.items() if name != "wrong"}, indent=1))
+    return 0 if figures["ok"] else 1
+
+
+def summed_up(runs: list[Killed], seed: int) -> dict[str, Any]:
+    """Return the figures of all runs."""
+    return {
         "runs": len(runs),
-        "seed": arguments.seed,
+        "seed": seed,
         "disk": "a small tmpfs" if os.geteuid() == 0 else "a limit on the size of files",
         "commands": Counter(run.command for run in runs),
         "kinds": Counter(run.kind for run in runs),
@@ -140,10 +150,6 @@ def main() -> int:
         "wrong": [asdict(run) for run in runs if run.wrong],
         "ok": not any(run.wrong for run in runs),
     }
-    print(json.dumps({name: value for name, value in figures.items() if name != "wrong"}, indent=1))
-    if arguments.out:
-        arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    return 0 if figures["ok"] else 1
 
 
 def prepare(work: Path) -> dict[str, Undisturbed]:
@@ -483,10 +489,10 @@ def look_at_end(run: Killed, place: Path, text: str) -> None:
     last = text.replace("\r", "\n").split("\n")
     last_line = next((line for line in reversed(last) if line.strip()), "").removeprefix("\x1b[A")
     kind = run.kind.removesuffix(" to all")
-    has_begun = run.code not in (-signal.SIGINT, -signal.SIGTERM)  # else the interpreter had not: nothing was touched
+    has_begun = run.code not in (-signal.SIGINT, -signal.SIGTERM)  # else it had not yet, or was over
     if run.code != 0 and has_begun and run.code not in _CODES[kind]:
         run.wrong.append(f"exit code {run.code}")
-    if not has_begun and run.state not in ("nothing", "earlier"):
+    if not has_begun and run.state not in ("nothing", "earlier", "complete"):  # complete: it had ended
         run.wrong.append(f"exit code {run.code} of a run that had begun")
     if has_begun and ("Traceback" in text or "Exception ignored" in text):
         run.wrong.append(f"traceback: {text[-1500:]}")

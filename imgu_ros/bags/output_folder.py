@@ -73,6 +73,10 @@ class RunFolder:
             raise FileError(f"{self.path}: {error.strerror}; need a folder that stays while it is written to") from None
         if (status.st_dev, status.st_ino) != (self.device, self.inode):
             raise FileError(f"{self.path}: replaced meanwhile; need a folder that stays while it is written to")
+        self.mark_time()
+
+    def mark_time(self) -> None:
+        """Say that the run has written until now, whatever became of the folder."""
         os.utime(self.lock)
 
     def make(self, name: str) -> Path:
@@ -159,7 +163,10 @@ def output_folder(
         folder.at_work()
         held = stack.pop_all()
     with held:
-        yield folder
+        try:
+            yield folder
+        finally:
+            folder.mark_time()
 
 
 def check_output_folder(out: Path, contents: Contents, *, overwrite: bool, inputs: Sequence[Path] = ()) -> None:

@@ -96,9 +96,12 @@ class BagFiles:
     ) -> None:
         # The error under way is the one to report.
         with contextlib.nullcontext() if error is None else contextlib.suppress(Exception):
-            self._messages.close()
-            if self._is_whole:
-                self._folder.publish((_UNFINISHED, RESULTS))
+            try:
+                self._messages.close()
+                if self._is_whole:
+                    self._folder.publish((_UNFINISHED, RESULTS))
+            finally:
+                self._folder.mark_time()
 
     def write(self, written: Written) -> None:
         """Write one frame."""

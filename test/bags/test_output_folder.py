@@ -132,6 +132,14 @@ def test_what_is_no_runs_is_refused_and_named(tmp_path: Path, kind: str) -> None
     assert everything(tmp_path) == before
 
 
+def test_what_a_run_writes_at_its_very_end_is_its_own(tmp_path: Path) -> None:
+    with run(tmp_path) as folder:
+        os.utime(folder.lock, (time.time() - 60,) * 2)  # as if its last sign of life were a while ago
+        os.utime(tmp_path / MANIFEST, (time.time() - 60,) * 2)
+        (tmp_path / "table.csv").write_text("1")
+    check_output_folder(tmp_path, CONTENTS, overwrite=True)
+
+
 def test_results_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
     in_the_way(tmp_path, "file")
     with pytest.raises(FileError, match=r"no list of a run .* it is yours, or of an earlier version; .* move it away"):
