@@ -222,6 +222,11 @@ class SqliteStorage:
                 self._pages = SqlitePages(self._file.path)
             except BagError as error:
                 self._warnings.add(f"{self._name}: {error}")
+            if self._pages is not None and not self._pages.is_whole:
+                self._warnings.add(
+                    f"{self._name}: damaged, and more than {len(self._pages.rows)} rows in its pages: those behind "
+                    "them are found only where the table still leads to them"
+                )
         return self._pages
 
     def _page_rows(self) -> Iterator[tuple[int, int, int]]:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from imgu_ros.bags import sqlite_pages
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.errors import BagError
 from imgu_ros.params import LimitsParameters
@@ -356,6 +357,16 @@ def test_a_damaged_page_costs_what_is_in_it_alone(tmp_path, page, is_in_order):
         counts.append(len(found))
     assert min(counts) >= 120 - page // 20
     assert counts.count(120) >= 2  # its index and its inner pages
+
+
+def test_more_rows_than_are_sought_in_the_pages_of_a_damaged_file_are_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(sqlite_pages, "_MOST_ROWS", 100)
+    database(tmp_path / "x.db3", rows=[(1, i, cdr(str(i))) for i in range(3000)], page=512).close()
+    whole = (tmp_path / "x.db3").read_bytes()
+    (tmp_path / "x.db3").write_bytes(whole[: len(whole) // 2])
+    found, warnings = read(tmp_path / "x.db3")
+    assert len(found) >= 100
+    assert [line for line in warnings if "more than 100 rows in its pages" in line]
 
 
 def test_a_row_in_two_pages_comes_once(tmp_path):
