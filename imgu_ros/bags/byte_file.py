@@ -60,7 +60,9 @@ class ByteFile:
 
     def head(self, offset: int, size: int) -> bytes:
         """Return `size` bytes from `offset` on, fewer at the file's end; for one thread, which goes forward."""
-        size = max(0, min(size, self.size - offset))
+        size = min(size, self.size - offset)
+        if size <= 0:
+            return b""
         at = offset - self._block_start
         if at >= 0 and at + size <= len(self._block):
             self._last_head = offset

@@ -216,7 +216,7 @@ class ChunkedStorage:
         return contents, data
 
     def _data(self, stretch: Stretch) -> memoryview:
-        check_message_size(max(stretch.size, stretch.data_size), self._limits)
+        check_message_size(stretch.data_size, self._limits)
         if stretch.offset in self._too_much:
             raise BagError(
                 f"{stretch.data_size} bytes become {stretch.size}; need at most {self._limits.expansion} times as many "

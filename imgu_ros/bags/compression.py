@@ -7,6 +7,7 @@ import bz2
 import shutil
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +73,13 @@ def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters =
     BagError
         If the method is unknown, the data are damaged or cut, or are much more than announced.
     """
-    check_message_size(size, limits)
-    return memoryview(data) if method == "" else _unpacked(data, method, size)
+    if method == "":
+        return memoryview(data)
+    if size <= 1_000_000 * limits.message_mb:
+        return _unpacked(data, method, size)
+    with suppress(BagError):
+        return _unpacked(data, method, 0)  # a wrong size of a small chunk
+    raise _too_large(size, limits)
 
 
 def decompressed_message(
@@ -116,7 +122,11 @@ def check_message_size(size: int, limits: LimitsParameters) -> None:
         If `size`, in bytes, is more.
     """
     if size > 1_000_000 * limits.message_mb:
-        raise BagError(f"{size / 1e6:.0f} MB or more; need at most {limits.message_mb} (limits.message_mb)")
+        raise _too_large(size, limits)
+
+
+def _too_large(size: int, limits: LimitsParameters) -> BagError:
+    return BagError(f"{size / 1e6:.0f} MB or more; need at most {limits.message_mb} (limits.message_mb)")
 
 
 class TemporarySpace:
@@ -175,7 +185,7 @@ def _unpacked(data: bytes, method: str, size: int) -> memoryview:
     pieces = _pieces(data, method, size + 1)
     if size < _AT_ONCE:
         first = next(pieces, b"")
-        if len(first) == size:
+        if size and len(first) == size:
             return memoryview(first)
         most = max(size, _MOST_UNANNOUNCED)
         return memoryview(b"".join([first, *_bounded(pieces, most - len(first))]))

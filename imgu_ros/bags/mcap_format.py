@@ -24,6 +24,7 @@ PREFIX = struct.Struct("<BQ")
 HEAD_BYTES = PREFIX.size + 64
 #: The method is a short word; a longer one is none.
 COMPRESSIONS = ("", "zstd", "lz4")
+COMPRESSION_LENGTHS = {len(name).to_bytes(4, "little") for name in COMPRESSIONS}
 
 _CHUNK_FIXED = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -119,6 +120,16 @@ def chunk_header(head: bytes, length: int, *, is_sure: bool = False) -> ChunkHea
     if at - PREFIX.size + compressed != length or (compression == "" and size != compressed):
         raise BagError(f"chunk of {length} bytes announces {compressed} bytes of data")
     return ChunkHeader(min(start, MAX_TIME_NS), min(end, MAX_TIME_NS), size, crc, compression, compressed, at)
+
+
+def chunk_length(head: bytes) -> int:
+    """Return the length of a chunk record by the sizes in it, whatever its prefix says; 0 when there are none."""
+    at = PREFIX.size + _CHUNK_FIXED.size
+    if head[at : at + 4] not in COMPRESSION_LENGTHS or len(head) < HEAD_BYTES:
+        return 0
+    at += 4 + head[at]
+    (compressed,) = _U64.unpack_from(head, at)
+    return int(at + _U64.size + compressed - PREFIX.size)
 
 
 def message_head(head: bytes, length: int) -> tuple[int, int] | None:

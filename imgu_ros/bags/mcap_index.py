@@ -14,6 +14,7 @@ import zlib
 from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap
 from imgu_ros.bags.mcap_format import (
+    COMPRESSION_LENGTHS,
     COMPRESSIONS,
     HEAD_BYTES,
     MAGIC,
@@ -21,6 +22,7 @@ from imgu_ros.bags.mcap_format import (
     ChunkHeader,
     Opcode,
     chunk_header,
+    chunk_length,
     definition_record,
     index_head,
     mcap_contents,
@@ -51,7 +53,6 @@ _FOOTER = struct.Struct("<QQI")
 _DATA_END_BYTES = 4
 # The length of a chunk's compression, by which nearly all other records are told from chunks.
 _COMPRESSION = slice(PREFIX.size + 28, PREFIX.size + 32)
-_COMPRESSION_LENGTHS = {len(name).to_bytes(4, "little") for name in COMPRESSIONS}
 _FIRST_PRIVATE_OPCODE = 0x80
 _MOST_REMARKS = 20
 
@@ -159,6 +160,9 @@ class _Walk:
         if len(head) < PREFIX.size or not head[0]:
             return 0
         length: int = PREFIX.unpack_from(head)[1]
+        own = chunk_length(head) if head[0] == Opcode.CHUNK else 0
+        if own and is_followed(self.file, at + PREFIX.size + own):
+            length = own  # its other sizes are right
         end = at + PREFIX.size + length
         if end > self.file.size or not is_followed(self.file, end):
             return 0
@@ -166,7 +170,7 @@ class _Walk:
         try:
             if head[0] == Opcode.CHUNK or self.is_disguised_chunk(at, head, length):
                 self.take_chunk(at, chunk_header(head, length, is_sure=True))
-                self.remark(f"the chunk at byte {at} has wrong sizes: read by its length")
+                self.remark(f"the chunk at byte {at} has wrong sizes: read as far as the next record")
                 return end
         except BagError:
             pass
@@ -278,7 +282,7 @@ class _Walk:
     def is_disguised_chunk(self, at: int, head: bytes, length: int) -> bool:
         """Whether a record of another type is consistent as a chunk, which nothing else is by chance."""
         try:
-            if head[_COMPRESSION] not in _COMPRESSION_LENGTHS or length < HEAD_BYTES:
+            if head[_COMPRESSION] not in COMPRESSION_LENGTHS or length < HEAD_BYTES:
                 return False
             if chunk_header(head, length).compression not in COMPRESSIONS:
                 return False

@@ -75,7 +75,7 @@ def rosbag1_contents(data: memoryview, limits: LimitsParameters) -> Contents:
     at = 0
     while at < len(data):
         try:
-            header = record_header(data, at)
+            header = record_header(data, at, is_sure=True)
         except BagError as error:
             found.damage = str(error)
             break
@@ -97,14 +97,21 @@ def rosbag1_contents(data: memoryview, limits: LimitsParameters) -> Contents:
     return found
 
 
-def record_header(data: bytes | memoryview, at: int) -> RecordHeader:
-    """Parse the header of the record at `at`; BagError when it does not hold."""
+def record_header(data: bytes | memoryview, at: int, *, is_sure: bool = False) -> RecordHeader:
+    """Parse the header of the record at `at`; BagError when it does not hold.
+
+    Where it is sure that there is a record, its lengths are enough: fields that cannot be parsed are left out.
+    """
     length = _u32(data, at)
     if length > MAX_HEADER:
         raise BagError(f"record header of {length} bytes; need at most {MAX_HEADER}")
     end = at + 4 + length
     fields: dict[str, bytes] = {}
-    _take_fields(fields, bytes(data[at + 4 : end]), length)
+    try:
+        _take_fields(fields, bytes(data[at + 4 : end]), length)
+    except BagError:
+        if not is_sure:
+            raise
     return RecordHeader(fields, end + 4 - at, _u32(data, end))
 
 

@@ -33,6 +33,7 @@ _HEAD_BYTES = 2**8
 #: A search mostly ends soon.
 _FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
 _INDEX_BYTES = 12 * 2**16
+_MOST_REMARKS = 20
 #: Messages outside of chunks are read in stretches of about this size.
 _STRETCH_BYTES = 2**22
 # A header of some fields, the first of which has a name; each match is one byte, so that none hides another.
@@ -104,7 +105,7 @@ class _Walk:
             except _EncryptedError:
                 raise
             except BagError:
-                at = self.recovered(at)
+                at = self.stepped_over(at) or self.recovered(at)
         self.close_stretch()
         found = self.found
         # A recorder writes the index, and then the number of chunks into the header, when it stops.
@@ -142,6 +143,20 @@ class _Walk:
             elif opcode == Opcode.CHUNK_INFO:
                 self.take_chunk_info(header, start)
         self.sure = sure
+        return end
+
+    def stepped_over(self, at: int) -> int:
+        """Return the place behind a record whose lengths hold, though its fields do not; 0 when they do not."""
+        head = self.file.head(at, _HEAD_BYTES)
+        end = at + 4 + int.from_bytes(head[:4], "little")
+        end += 4 + int.from_bytes(self.file.head(end, 4), "little")
+        if len(head) < 8 or end >= self.file.size or not self.is_followed(end):
+            return 0
+        if self.last is not None and not self.last.is_run:
+            self.last.is_counted = False
+        if len(self.found.remarks) < _MOST_REMARKS:
+            self.found.remarks.append(f"the record at byte {at} is skipped: its fields cannot be read")
+        self.sure = at
         return end
 
     def take_chunk(self, at: int, header: RecordHeader) -> int:
