@@ -247,6 +247,7 @@ _GENERATED_BLOBS = f"{_AGAIN} n INTEGER, data BLOB AS (zeroblob(n)));" + (
 _GENERATED_TIMES = f"{_AGAIN} data BLOB, t AS (hex(zeroblob(100000000))));" + (
     "INSERT INTO messages(topic_id, timestamp, data) VALUES(1, 5, x'00')"
 )
+_LONG_NAME = "UPDATE topics SET name = printf('%.*c', 100000000, 'x') WHERE id = 4"
 _ENDLESS_VIEW = (
     "ALTER TABLE messages RENAME TO m; CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL "
     "SELECT id + 1 FROM c) SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM c"
@@ -287,7 +288,7 @@ ENTRIES: dict[str, Entry] = {
     "database_of_generated_blobs": _mcap(_sql(_GENERATED_BLOBS)),
     "database_of_an_endless_view": _mcap(_sql(_ENDLESS_VIEW)),
     "database_of_generated_times": _mcap(_sql(_GENERATED_TIMES)),
-    "database_name_of_100_mb": _mcap(_sql("UPDATE topics SET name = printf('%.*c', 100000000, 'x') WHERE id = 4"), 15),
+    "database_name_of_100_mb": _mcap(_sql(_LONG_NAME), 9, "limits.text_mb"),
     "database_with_a_log": _mcap(_wal, 2 * _ALL),
     "database_with_a_log_read_only": _mcap(_wal_read_only, 2 * _ALL),
     "metadata_aliases": _mcap(_folder(texts.bomb(12, 10)), _ALL),

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 try:
-    import atheris
+    import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 except ImportError:
     raise SystemExit("atheris: not installed; need: pip install atheris") from None
 

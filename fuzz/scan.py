@@ -26,6 +26,8 @@ Identity = tuple[int, int, int]
 Messages = Counter[Identity]
 _MOST_BYTES = 2**28
 _LAST_TIME = 2**63 - 1
+#: The last: a message of SQLite's about damaged text.
+_SQLITE_ERRORS = (sqlite3.Error, MemoryError, UnicodeDecodeError)
 
 
 def identity(time_ns: int, data: bytes | memoryview) -> Identity:
@@ -161,10 +163,12 @@ def rosbag1_messages(data: bytes) -> Messages:
 
 
 def sqlite_messages(path: Path) -> Messages:
-    """Return the rows of rosbag2's table that SQLite gives in the order of their ids, each id once."""
+    """Return the rows of rosbag2's table that SQLite gives in the order of their ids, of ids that come once."""
     found: dict[int, Identity] = {}
+    seen: set[object] = set()
+    doubtful: set[object] = set()
     with (
-        suppress(sqlite3.Error, MemoryError),
+        suppress(*_SQLITE_ERRORS),
         closing(sqlite3.connect(f"file:{quote(str(path))}", uri=True)) as database,
     ):
         database.text_factory = bytes
@@ -173,12 +177,14 @@ def sqlite_messages(path: Path) -> Messages:
         tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if {b"messages", b"topics"} <= tables:
             topics = {i for i, *texts in database.execute("SELECT id, name, type FROM topics") if None not in texts}
-            with suppress(sqlite3.Error, MemoryError):
+            with suppress(*_SQLITE_ERRORS):
                 for row, topic, time_ns, data in database.execute("SELECT id, topic_id, timestamp, data FROM messages"):
+                    doubtful |= {row} & seen  # ids are unique: which of the two holds cannot be told
+                    seen.add(row)
                     whole = isinstance(time_ns, int) and isinstance(data, bytes) and isinstance(row, int)
                     if whole and topic in topics and 0 <= time_ns <= _LAST_TIME:
                         found.setdefault(row, identity(time_ns, data))
-    return Messages(found.values())
+    return Messages(key for row, key in found.items() if row not in doubtful)
 
 
 def unpacked_identity(time_ns: int, data: bytes | memoryview) -> Identity:

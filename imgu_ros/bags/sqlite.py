@@ -174,7 +174,7 @@ class SqliteStorage:
                 for row, *cells in self._file.execute(query, values):
                     left -= sum(len(cell) for cell in cells if isinstance(cell, bytes))
                     if left < 0 or len(found) >= _MOST_NAMED:
-                        raise sqlite3.DatabaseError("too many or too long")
+                        raise sqlite3.DatabaseError("too many or too long (limits.text_mb)")
                     found.setdefault(row, tuple(cells))
             except sqlite3.DatabaseError as error:
                 faults.append(self._file.fault(error))
