@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     0 on success, 1 on a failure that one line on stderr explains, 2 on wrong usage, 128 and the signal's number after
-    one that asked for a stop (SIGINT: 130, SIGTERM: 143, SIGHUP: 129), once files are complete;
+    one that asked for a stop (SIGINT: 130, SIGTERM: 143, SIGHUP: 129; of a node 0), once files are complete;
     141 when the reader of the output went away (as if by SIGPIPE)
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -66,6 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             return _run_and_explain(arguments)
         except KeyboardInterrupt as stop:
+            if arguments[:1] == ["node"]:  # which only a signal ends, however early
+                return OK
             return _stopped(getattr(stop, "number", signal.SIGINT))
 
 
