@@ -212,7 +212,7 @@ def _bounded(pieces: Iterator[bytes], size: int) -> Iterator[bytes]:
 
 def _pieces(data: bytes | memoryview, method: str, most: int) -> Iterator[bytes]:
     """Decompress in pieces; the first is all of it when that is little. BagError when the data are damaged."""
-    step = min(most, _AT_ONCE)
+    step = min(max(most, 2**16), _AT_ONCE)
     if method == "zstd":
         try:
             yield from _zstd_pieces(iter([data]), step, len(data))

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compressed bytes that become too many: refused with the limit's name, in bounded memory; the near side is read."""
+
+from __future__ import annotations
+
+import bz2
+import shutil
+import struct
+import tracemalloc
+from collections import namedtuple
+
+import lz4.frame
+import pytest
+
+from imgu_ros.bags import compression
+from imgu_ros.bags.compression import Expansion, decompressed, decompressed_message, zstd
+from imgu_ros.bags.reading import open_bag
+from imgu_ros.errors import BagError
+from imgu_ros.params import LimitsParameters
+
+SMALL = LimitsParameters(message_mb=8, temporary_mb=3)
+COMPRESS = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}
+
+
+def peak_mb(call):
+    tracemalloc.start()
+    try:
+        call()
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    return peak / 1e6
+
+
+@pytest.mark.parametrize("method", ["zstd", "lz4", "bz2"])
+def test_chunks_are_decompressed_up_to_the_limit_and_not_beyond(method):
+    near = bytes(8_000_000)
+    assert bytes(decompressed(COMPRESS[method](near), method, len(near), SMALL)) == near
+    packed = COMPRESS[method](bytes(60_000_000))
+
+    def claimed(size):
+        with pytest.raises(BagError, match="limits.message_mb|more bytes than announced"):
+            decompressed(packed, method, size, SMALL)
+
+    for size in (60_000_000, 2**63, 1000, 8_000_000):
+        assert peak_mb(lambda size=size: claimed(size)) < 30
+
+
+def test_a_chunk_larger_than_what_is_decompressed_at_once():
+    data = bytes(range(256)) * 70_000
+    for method in ("zstd", "lz4"):
+        assert bytes(decompressed(COMPRESS[method](data), method, len(data))) == data
+
+
+def test_zstd_frames_one_behind_the_other_and_skippable_ones():
+    skippable = struct.pack("<II", 0x184D2A50, 0)
+    frames = b"".join(skippable + zstd.compress(bytes([i]) * 1000) for i in range(20))
+    want = b"".join(bytes([i]) * 1000 for i in range(20))
+    assert decompressed(frames, "zstd", len(want)) == want
+    # hundreds of thousands of empty ones cost no quadratic time
+    assert decompressed(skippable * 20_000 + zstd.compress(b"x" * 9), "zstd", 9) == b"x" * 9
+
+
+def test_a_window_of_two_gigabytes_is_refused():
+    frame = bytearray(b"\x28\xb5\x2f\xfd\x00\xa8") + b"\x01\0\0"  # window descriptor: 2^31 bytes
+    with pytest.raises(BagError, match="damaged"):
+        decompressed(bytes(frame), "zstd", 100)
+
+
+def test_messages_that_are_bombs_are_refused():
+    near = bytes(8_000_000)
+    assert bytes(decompressed_message(zstd.compress(near), SMALL)) == near
+    with pytest.raises(BagError, match=r"need at most 8 \(limits.message_mb\)"):
+        decompressed_message(zstd.compress(bytes(8_000_001)), SMALL)
+
+
+def test_all_chunks_together_stay_below_the_expansion():
+    expansion = Expansion(LimitsParameters(expansion=100))
+    for _ in range(10):
+        expansion.take(10, 200_001_000 - 1000)
+    with pytest.raises(BagError, match=r"limits.expansion"):
+        expansion.take(10, 200_000_000)
+    expansion.take(10_000_000, 1_000_000_000)  # what is below the factor always may
+
+
+def test_a_file_is_decompressed_as_far_as_the_limits_allow(tmp_path, tiny_mcap, monkeypatch):
+    chunks = [[(c, f"{c} " + "x" * 100_000)] for c in range(60)]
+    made = tiny_mcap(chunks)
+    path = tmp_path / "x.mcap.zstd"
+    path.write_bytes(zstd.compress(made.data()))
+
+    def times(limits):
+        with open_bag([path], limits=limits) as bag:
+            return [m.time_ns for m in bag.messages()], bag.warnings
+
+    assert times(LimitsParameters(temporary_mb=7)) == (list(range(60)), ())
+    got, warnings = times(SMALL)
+    assert got == list(range(len(got)))
+    assert 15 < len(got) < 30
+    assert "need at most 3 MB of temporary copies (limits.temporary_mb)" in warnings[0]
+    assert any("cut short" in warning for warning in warnings)
+
+    monkeypatch.setattr(compression, "_FREE_ON_DISK", 2_000_000)
+    got, warnings = times(LimitsParameters(expansion=1))
+    assert 5 < len(got) < 30
+    assert "(limits.expansion)" in warnings[0]
+
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**10, 0, 504_000_000))
+    got, warnings = times(LimitsParameters())
+    assert 5 < len(got) < 60
+    assert "MB left; need more" in warnings[0]
+
+
+def test_overlapping_bombs_are_read_one_after_the_other(tmp_path, mcap_parts):
+    p = mcap_parts
+    records = p.message(1, 5, p.string_cdr("y" * 4_000_000))
+    chunk = p.chunk(records, 5, 5, "zstd", crc=False)
+    definitions = p.schema(1, "std_msgs/msg/String", "string data") + p.channel(1, 1, "/text")
+    data = p.magic + p.record(1, p.text("") * 2) + definitions + chunk * 30 + p.record(2, bytes(20)) + p.magic
+    (tmp_path / "x.mcap").write_bytes(data)
+
+    def count():
+        with open_bag([tmp_path / "x.mcap"], limits=SMALL) as bag:
+            assert sum(1 for _ in bag.raw_messages()) == 30
+
+    assert peak_mb(count) < 40
