@@ -11,7 +11,6 @@ import pickle
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,7 +26,7 @@ from imgu_ros.bags.result_process import ResultProcess
 from imgu_ros.bags.result_thread import ResultThread
 from imgu_ros.bags.result_writer import serve
 from imgu_ros.bags.written import Files, Written
-from imgu_ros.errors import BagError
+from imgu_ros.errors import BagError, FileError
 from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.parameter_values import parameters_from
@@ -160,14 +159,11 @@ def test_an_error_before_the_first_frame_ends_the_process(tmp_path: Path, parame
 def test_what_the_process_cannot_write_is_raised(
     parameters: Parameters, written: list[Written], tmp_path: Path
 ) -> None:
-    (tmp_path / "results.part").touch()
-    with (
-        pytest.raises(BagError, match=r"results\.part"),
-        files(tmp_path / "out", parameters) as described,
-        ResultProcess(replace(described, folder=replace(described.folder, path=tmp_path))) as sink,
-    ):
-        for item in written:
-            sink.put(item)
+    with files(tmp_path, parameters) as described:
+        (tmp_path / "results.part").touch()
+        with pytest.raises(FileError, match=r"results\.part: File exists"), ResultProcess(described) as sink:
+            for item in written:
+                sink.put(item)
 
 
 def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: list[Written], tmp_path: Path) -> None:
