@@ -293,7 +293,7 @@ class SqliteStorage:
         """Return a message's bytes; None, and a warning, when they cannot be read."""
         place = None
         try:
-            found = self._file.execute(self._data_query, (row,)).fetchone()
+            found = next(self._file.execute(self._data_query, (row,)), None)
             if found is not None and isinstance(found[0], bytes):
                 data: bytes = found[0]
                 return data

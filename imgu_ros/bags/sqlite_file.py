@@ -14,10 +14,13 @@ import shutil
 import sqlite3
 import stat
 import struct
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
+from typing import Any
 from urllib.parse import quote
 
 from imgu_ros.bags.storage import DEFAULT_LIMITS, Warnings
@@ -80,9 +83,12 @@ class SqliteFile:
         """Close the file, and remove the copy if there is one."""
         self._resources.close()
 
-    def execute(self, query: str, values: tuple[object, ...] = ()) -> sqlite3.Cursor:
-        """Execute a statement of our own."""
-        return self._database.execute(query, values)
+    def execute(self, query: str, values: tuple[object, ...] = ()) -> Iterator[Any]:
+        """Yield the rows of a statement of our own; sqlite3.DatabaseError where they cannot be read."""
+        try:
+            yield from self._database.execute(query, values)
+        except MemoryError:  # a forged length
+            raise sqlite3.DatabaseError("it asks for more memory than there is") from None
 
     def begin(self) -> None:
         """Begin a pass over the rows, which may take steps again."""
@@ -105,7 +111,7 @@ class SqliteFile:
             f"SELECT name, sql FROM sqlite_master WHERE type IN ('table', 'view') AND name COLLATE NOCASE IN ({marks})"
         )
         found: dict[str, tuple[Column, ...]] = {}
-        for name, sql in self.execute(query, names).fetchmany(2 * len(names)):
+        for name, sql in islice(self.execute(query, names), 2 * len(names)):
             name = bytes(name).decode("ascii", "replace").lower()
             text = sql.decode("utf-8", "replace") if isinstance(sql, bytes) else ""
             if name in found or not _REAL_TABLE.match(text):
@@ -114,7 +120,7 @@ class SqliteFile:
         return found
 
     def _columns(self, table: str) -> tuple[Column, ...]:
-        rows = self.execute(f"PRAGMA table_xinfo({table})").fetchall()
+        rows = list(self.execute(f"PRAGMA table_xinfo({table})"))
         keys = sum(bool(row[5]) for row in rows)
         return tuple(
             Column(bytes(row[1]).decode("utf-8", "replace").lower(), bool(row[5]) and keys == 1, not row[6])

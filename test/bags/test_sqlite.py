@@ -15,6 +15,8 @@ import pytest
 
 from imgu_ros.bags import sqlite_pages
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.sqlite_file import SqliteFile
+from imgu_ros.bags.storage import Warnings
 from imgu_ros.errors import BagError
 from imgu_ros.params import LimitsParameters
 
@@ -486,3 +488,20 @@ def test_a_path_that_is_not_utf8(tmp_path):
     database(tmp_path / "x.db3").close()
     os.rename(tmp_path / "x.db3", path)
     assert read(Path(path)) == ([(5, "a"), (6, "b")], ())
+
+
+def test_memory_that_a_forged_length_asks_for_is_an_error_of_the_file(tmp_path, write_sqlite) -> None:
+    """SQLite allocates what a row claims before it looks whether the file has it."""
+
+    class Refusing:
+        def execute(self, query, values=()):
+            raise MemoryError
+
+    path = tmp_path / "bag.db3"
+    write_sqlite(path, 4, [("/text", "std_msgs/msg/String", "cdr", "", "")], [], [(1, 5, b"\0\1\0\0\2\0\0\0a\0")])
+    whole = SqliteFile(path, "bag.db3", Warnings())
+    database, whole._database = whole._database, Refusing()
+    with pytest.raises(sqlite3.DatabaseError, match="more memory"):
+        list(whole.execute("SELECT 1"))
+    whole._database = database
+    whole.close()
