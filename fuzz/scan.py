@@ -79,6 +79,8 @@ def mcap_messages(data: bytes) -> Messages:
     while at < len(data):
         if data.startswith(mcap.MAGIC, at):
             at += len(mcap.MAGIC)
+            if data[at : at + 1] == b"\1":  # another file begins, whose channels are its own
+                channels = set()
             continue
         if at + 9 > len(data):
             break

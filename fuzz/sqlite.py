@@ -73,7 +73,7 @@ def wal_seed() -> dict[str, bytes]:
 def mutate(rng: Rng, data: bytes) -> bytes:
     """Return a file with one mutation more."""
     roll = rng.random()
-    if roll < 0.15:
+    if roll < 0.15 or not data:
         return mangled(rng, data)
     if roll < 0.55:
         with suppress(sqlite3.Error, OverflowError):
