@@ -57,15 +57,20 @@ def scanned(path: Path) -> Messages:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the files that metadata.yaml names; where it names none that is there, those that are."""
+    """Return the files that metadata.yaml names; where it names none that is there, those of the storage it names."""
     present = [path for path in sorted(folder.iterdir()) if path.suffix in (".mcap", ".db3", ".zstd")]
     try:
         path = folder / "metadata.yaml"
         text = path.read_text() if path.is_file() and path.stat().st_size < 10**6 else ""
         if re.search(r"[[{?-]{1000}", text.replace(" ", "")):
             return present  # the parser's stack is not deep enough
-        names = yaml.load(text, yaml.CBaseLoader)["rosbag2_bagfile_information"]["relative_file_paths"]
+        information = yaml.load(text, yaml.CBaseLoader)["rosbag2_bagfile_information"]
+        names = information.get("relative_file_paths")
+        if not isinstance(names, list):  # it says the same twice
+            names = [entry["path"] for entry in information["files"]]
+        storage = {"mcap": ".mcap", "sqlite3": ".db3"}.get(str(information.get("storage_identifier")), "")
         named = [folder / str(name) for name in dict.fromkeys(names) if (folder / str(name)) in present]
+        present = [path for path in present if storage in path.suffixes] or present
     except Exception:
         named = []
     return named or present

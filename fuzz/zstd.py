@@ -27,8 +27,8 @@ def decompressed(data: bytes, most: int) -> bytes:
         result = decompressor.decompress(data, max_length=most + 1)
     except zstd.ZstdError as error:
         raise ValueError(str(error)) from None
-    if not decompressor.eof or len(result) > most:
-        raise ValueError("cut or too long")
+    if not decompressor.eof or decompressor.unused_data or len(result) > most:
+        raise ValueError("cut, too long, or something behind it")
     return result
 
 
