@@ -489,7 +489,8 @@ def look_at_end(run: Killed, place: Path, text: str) -> None:
     last = text.replace("\r", "\n").split("\n")
     last_line = next((line for line in reversed(last) if line.strip()), "").removeprefix("\x1b[A")
     kind = run.kind.removesuffix(" to all")
-    has_begun = run.code not in (-signal.SIGINT, -signal.SIGTERM)  # else it had not yet, or was over
+    # Else the interpreter had not come to the command yet, or had done with it.
+    has_begun = run.code not in (-signal.SIGINT, -signal.SIGTERM) and "init_import_site" not in text
     if run.code != 0 and has_begun and run.code not in _CODES[kind]:
         run.wrong.append(f"exit code {run.code}")
     if not has_begun and run.state not in ("nothing", "earlier", "complete"):  # complete: it had ended
@@ -497,7 +498,7 @@ def look_at_end(run: Killed, place: Path, text: str) -> None:
     if has_begun and ("Traceback" in text or "Exception ignored" in text):
         run.wrong.append(f"traceback: {text[-1500:]}")
     expected = {130: "imgu: interrupted", 143: "imgu: terminated", 1: "imgu: error: "}.get(run.code or 0, "")
-    if not last_line.startswith(expected):
+    if has_begun and not last_line.startswith(expected):
         run.wrong.append(f"last line {last_line!r}")
     left = [path.name for path in (place / "tmp").iterdir()]
     if left and kind != "SIGKILL":
