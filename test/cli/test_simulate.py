@@ -85,7 +85,7 @@ def test_several_templates(tmp_path: Path) -> None:
         (["--bits", "12", "--encoding", "mono8"], "bits: 12; need 8 or fewer for mono8"),
         (["--encoding", "bayer_rgbg8"], "nearest known: 'bayer_rggb8'"),
         (["--encoding", "mono8", "--pattern", "rggb"], "need one of them"),
-        (["--frames", "0"], "frames: 0; need 1 or more"),
+        (["--frames", "0"], "frames: 0; need 1 to 1000000"),
         (["--rate", "0"], "rate: 0 Hz"),
         (["--rate", "nan"], "rate: nan Hz"),
         (["--tilt", "95"], "motion"),
