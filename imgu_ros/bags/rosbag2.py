@@ -119,11 +119,12 @@ def recording(folder: Path, warnings: Warnings, limits: LimitsParameters = DEFAU
             raise BagError(f"{folder}: its files are missing ({_listed(missing)}); need those that {METADATA} names")
         there = _listed([path.name for path in renamed])
         warnings.add(f"{folder.name}: {METADATA} names {_listed(missing)}, which is not there; read instead: {there}")
+        _warn_of_unnamed(folder, present, renamed, warnings)
         only = announced.message_count if len(found) == len(renamed) == 1 else -1
         return Recording(tuple(Split(path, only) for path in renamed))
     if missing:
-        unnamed = sorted({path.name for path in present} - {path.name for path in found.values() if path})
-        _warn_of_missing(folder, missing, unnamed, announced, warnings)
+        _warn_of_missing(folder, missing, announced, warnings)
+    _warn_of_unnamed(folder, present, [path for path in found.values() if path], warnings)
     only = announced.message_count if len(found) == 1 else -1
     splits: dict[Path, Split] = {}  # one for each file: of two names of one file, its messages would come twice
     for name, path in found.items():
@@ -223,17 +224,19 @@ def _of_storage(present: list[Path], suffix: str) -> list[Path]:
     return [path for path in present if path.name.removesuffix(".zstd").endswith(suffix)] or present
 
 
-def _warn_of_missing(
-    folder: Path, missing: list[str], unnamed: list[str], announced: Announced, warnings: Warnings
-) -> None:
+def _warn_of_unnamed(folder: Path, present: list[Path], read: list[Path], warnings: Warnings) -> None:
+    unnamed = [path.name for path in present if path not in read]
+    if unnamed:
+        warnings.add(f"{folder.name}: not named in {METADATA}, and not read: {_listed(unnamed)}")
+
+
+def _warn_of_missing(folder: Path, missing: list[str], announced: Announced, warnings: Warnings) -> None:
     text = f"{folder.name}: {len(missing)} of {len(announced.files)} files are missing ({_listed(missing)})"
     if all(name in announced.starts_ns for name in missing):
         lost = sum(announced.file_counts[name] for name in missing)
         first = min(announced.starts_ns[name] for name in missing)
         last = max(announced.ends_ns[name] for name in missing)
         text += f": {lost} of {announced.message_count} messages, between {seconds(first)} and {seconds(last)}"
-    if unnamed:
-        text += f"; not named there, and not read: {_listed(unnamed)}"
     warnings.add(text)
 
 

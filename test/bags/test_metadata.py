@@ -167,10 +167,11 @@ def test_paths_of_another_system_or_folder(tmp_path, write_folder, path):
 def test_a_renamed_file_is_read_and_that_is_said(tmp_path, write_folder, named):
     folder = write_folder(tmp_path / "x", jazzy(named), "renamed.db3")
     (folder / "other.mcap").write_bytes(b"no bag, and of another storage")
-    data, (warning,) = read(folder)
+    data, (warning, other) = read(folder)
     assert data == ["a", "b", "c"]
     assert warning.startswith("x: metadata.yaml names ")
     assert warning.endswith(", which is not there; read instead: renamed.db3")
+    assert other == "x: not named in metadata.yaml, and not read: other.mcap"
 
 
 def test_no_storage_named_reads_whatever_is_there(tmp_path, write_folder):
@@ -186,8 +187,16 @@ def test_one_of_two_files_renamed_is_missing_and_named(tmp_path, write_folder):
     (folder / "x_0 (copy).db3").write_bytes((folder / "x_0.db3").read_bytes())
     data, warnings = read(folder)
     assert data == ["a", "b", "c"]
-    said = "x: 1 of 2 files are missing (x_1.db3); not named there, and not read: x_0 (copy).db3"
-    assert warnings == (said,)
+    assert warnings == (
+        "x: 1 of 2 files are missing (x_1.db3)",
+        "x: not named in metadata.yaml, and not read: x_0 (copy).db3",
+    )
+
+
+def test_a_file_that_the_metadata_does_not_name_is_not_read_and_that_is_said(tmp_path, write_folder):
+    folder = write_folder(tmp_path / "x", jazzy("x_0.db3"))
+    (folder / "another.mcap").write_bytes((folder / "x_0.db3").read_bytes())
+    assert read(folder) == (["a", "b", "c"], ("x: not named in metadata.yaml, and not read: another.mcap",))
 
 
 @pytest.mark.parametrize("given", ["x", "x/", "x/x_0.db3", "x/metadata.yaml", "./x/../x/"])
