@@ -496,7 +496,8 @@ def look_at_end(run: Killed, place: Path, text: str) -> None:
     if not has_begun and run.state not in ("nothing", "earlier", "complete"):  # complete: it had ended
         run.wrong.append(f"exit code {run.code} of a run that had begun")
     if has_begun and ("Traceback" in text or "Exception ignored" in text):
-        run.wrong.append(f"traceback: {text[-1500:]}")
+        # The last line alone: the others name folders of this machine.
+        run.wrong.append(f"traceback: {text.strip().splitlines()[-1][:300]}")
     expected = {130: "imgu: interrupted", 143: "imgu: terminated", 1: "imgu: error: "}.get(run.code or 0, "")
     if has_begun and not last_line.startswith(expected):
         run.wrong.append(f"last line {last_line!r}")
