@@ -22,15 +22,16 @@ BYTE_ORDERS = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", T
 #: numpy's letters for TIFF's unsigned integer types: BYTE, SHORT, LONG, LONG8.
 INTEGERS = {1: "u1", 3: "u2", 4: "u4", 16: "u8"}
 
-_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC = 256, 257, 258, 259, 262
+_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _FILL_ORDER = 256, 257, 258, 259, 262, 266
 _STRIP_OFFSETS, _SAMPLES, _STRIP_ROWS, _STRIP_SIZES, _PLANES = 273, 277, 278, 279, 284
 _PREDICTOR, _COLORS, _TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_SIZES = 317, 320, 322, 323, 324, 325
 _EXTRA, _FORMAT = 338, 339
 #: The tags of a picture, and how many values one has at most; None: one for each strip or tile.
 _TAGS: dict[int, int | None] = {
-    _WIDTH: 1, _HEIGHT: 1, _BITS: 4, _COMPRESSION: 1, _PHOTOMETRIC: 1, _STRIP_OFFSETS: None, _SAMPLES: 1,
-    _STRIP_ROWS: 1, _STRIP_SIZES: None, _PLANES: 1, _PREDICTOR: 1, _COLORS: 3 * 2**16, _TILE_WIDTH: 1,
-    _TILE_HEIGHT: 1, _TILE_OFFSETS: None, _TILE_SIZES: None, _EXTRA: 3, _FORMAT: 4,
+    _WIDTH: 1, _HEIGHT: 1, _BITS: 4, _COMPRESSION: 1, _PHOTOMETRIC: 1, _FILL_ORDER: 1,
+    _STRIP_OFFSETS: None, _SAMPLES: 1, _STRIP_ROWS: 1, _STRIP_SIZES: None, _PLANES: 1, _PREDICTOR: 1,
+    _COLORS: 3 * 2**16, _TILE_WIDTH: 1, _TILE_HEIGHT: 1, _TILE_OFFSETS: None, _TILE_SIZES: None, _EXTRA: 3,
+    _FORMAT: 4,
 }  # fmt: skip
 _COMPRESSIONS = {1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits"}
 #: Grey (white or black is 0), RGB, palette, CMYK.

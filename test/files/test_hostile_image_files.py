@@ -184,6 +184,12 @@ def test_tiffs_of_strips_and_tiles_are_read(tmp_path, compression, big):
         assert pixels.dtype == (np.uint16 if name == "deep" else np.uint8)
 
 
+@pytest.mark.parametrize(("order", "part"), [(1, b"\xb0\x01"), (2, b"\x0d\x80")])
+def test_the_order_of_bits_in_a_tiff_counts(tmp_path, order, part):
+    (tmp_path / "a").write_bytes(tiff((8, 2), bits=1, part=part, fields={266: (SHORT, [order])}))
+    assert read_image(tmp_path / "a").tolist() == [[255, 0, 255, 255, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0, 0, 255]]
+
+
 def test_tags_beside_the_picture_never_reach_a_decoder(tmp_path, monkeypatch):
     """Directories that go in circles, Exif, profiles: none of it makes the picture."""
     seen: list[bytes] = []
