@@ -63,6 +63,7 @@ class ChunkedStorage:
         self._sought: set[int] = set()
         for remark in index.remarks:
             warnings.add(f"{name}: {remark}")
+        self._expansion = Expansion(limits)
         self._too_much = self._beyond_expansion()
         is_promised = self._is_as_promised()
         is_damaged = index.is_doubtful or any(gap.end < file.size for gap in index.gaps)
@@ -100,11 +101,11 @@ class ChunkedStorage:
 
     def _beyond_expansion(self) -> set[int]:
         """Return the chunks, by offset, that become more bytes than the limit allows."""
-        expansion, refused = Expansion(self._limits), set()
+        refused: set[int] = set()
         for index in self._table.expanded(self._limits.expansion, 1_000_000 * self._limits.message_mb):
             stretch = self._table[index]
             try:
-                expansion.take(stretch.data_size, stretch.size)
+                self._expansion.take(stretch.data_size, stretch.size)
             except BagError:
                 refused.add(stretch.offset)
         return refused
@@ -223,7 +224,13 @@ class ChunkedStorage:
                 "(limits.expansion)"
             )
         packed = self._file.read(stretch.data_offset, stretch.data_size)
-        data = decompressed(packed, stretch.compression, stretch.size, self._limits)
+        spare = self._expansion.spare(stretch.data_size)
+        unannounced = spare  # whatever a decompressor did before it found them to be too many
+        try:
+            data = decompressed(packed, stretch.compression, stretch.size, self._limits, spare)
+            unannounced = max(0, len(data) - stretch.size)
+        finally:
+            self._expansion.take(stretch.data_size, unannounced)
         if len(data) != stretch.size:
             self._warn_of_chunk(stretch, f"it announces {stretch.size} bytes; it has {len(data)}")
         return data

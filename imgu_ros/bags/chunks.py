@@ -20,6 +20,8 @@ from imgu_ros.params import LimitsParameters
 #: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
 _VIEWED_BYTES = 2**16
 _MOST_TEXT = 2**26
+#: Of files in one: each takes some kilobytes and a part of a millisecond, and may have 40 bytes.
+_MOST_FILES = 5000
 #: Numbers that are compared faster one by one than as an array.
 _FEW = 50
 
@@ -208,3 +210,22 @@ class ChunkFormat:
     index: Callable[[ByteFile, LimitsParameters], list[ChunkIndex]]
     contents: Callable[[memoryview, LimitsParameters], Contents]
     search: Search
+
+
+def walked_files(walk: Callable[[int], tuple[ChunkIndex, int]], start: int) -> list[ChunkIndex]:
+    """Walk over the files that follow one another in one; so many that only a forged file has them are left, and said.
+
+    Parameters
+    ----------
+    walk : walks over the file that begins at a place; gives what it found, and where the next one begins, -1: nowhere
+    start : of the first
+    """
+    found: list[ChunkIndex] = []
+    at = start
+    while at >= 0:
+        if len(found) == _MOST_FILES:
+            found[-1].remarks.append(f"{_MOST_FILES} files follow one another: what is behind byte {at} is not read")
+            break
+        index, at = walk(at)
+        found.append(index)
+    return found

@@ -38,7 +38,7 @@ _FREE_ON_DISK, _FREE_IN_PASSING = 1_000_000_000, 2_000_000_000
 _RESERVE = 500_000_000
 _CHECK_DISK_EVERY = 64_000_000
 #: Bytes that a chunk may have beyond those that it announces.
-_MOST_UNANNOUNCED = 2**23
+MOST_UNANNOUNCED = 2**23
 
 
 class Expansion:
@@ -57,8 +57,18 @@ class Expansion:
             )
         self._left -= max(0, excess)
 
+    def spare(self, packed: int) -> int:
+        """Return how many bytes that it does not announce a chunk of `packed` ones may become."""
+        return min(MOST_UNANNOUNCED, self._left + self._factor * packed)
 
-def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters = DEFAULT_LIMITS) -> memoryview:
+
+def decompressed(
+    data: bytes,
+    method: str,
+    size: int,
+    limits: LimitsParameters = DEFAULT_LIMITS,
+    unannounced: int = MOST_UNANNOUNCED,
+) -> memoryview:
     """Return what compressed `data` hold: `size` bytes, or, where that is wrong, what is there.
 
     Parameters
@@ -67,6 +77,7 @@ def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters =
     method : "", "zstd", "lz4" or "bz2"
     size : the announced size
     limits : `message_mb` bounds the size
+    unannounced : bytes that a small chunk may have instead of its size
 
     Raises
     ------
@@ -76,9 +87,9 @@ def decompressed(data: bytes, method: str, size: int, limits: LimitsParameters =
     if method == "":
         return memoryview(data)
     if size <= 1_000_000 * limits.message_mb:
-        return _unpacked(data, method, size)
+        return _unpacked(data, method, size, unannounced)
     with suppress(BagError):
-        return _unpacked(data, method, 0)  # a wrong size of a small chunk
+        return _unpacked(data, method, 0, unannounced)  # a wrong size of a small chunk
     raise _too_large(size, limits)
 
 
@@ -181,13 +192,13 @@ def decompress_file(source: Path, target: Path, limits: LimitsParameters, space:
         raise BagError(f"{source}: cannot decompress to {target.parent}: {error.strerror}") from None
 
 
-def _unpacked(data: bytes, method: str, size: int) -> memoryview:
+def _unpacked(data: bytes, method: str, size: int, unannounced: int) -> memoryview:
     pieces = _pieces(data, method, size + 1)
     if size < _AT_ONCE:
         first = next(pieces, b"")
         if size and len(first) == size:
             return memoryview(first)
-        most = max(size, _MOST_UNANNOUNCED)
+        most = max(size, unannounced)
         return memoryview(b"".join([first, *_bounded(pieces, most - len(first))]))
     return _joined(_bounded(pieces, size), size)
 

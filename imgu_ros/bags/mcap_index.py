@@ -12,7 +12,7 @@ import struct
 import zlib
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap
+from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, walked_files
 from imgu_ros.bags.mcap_format import (
     COMPRESSION_LENGTHS,
     COMPRESSIONS,
@@ -68,26 +68,24 @@ def index_mcap(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
     magic = file.read(0, min(file.size, len(MAGIC)))
     if magic != MAGIC:
         raise BagError(f"{file.path}: begins with {magic.hex()}; need {MAGIC.hex()} (MCAP)")
-    found: list[ChunkIndex] = []
-    at = len(MAGIC)
-    while at >= 0:
-        walk = _Walk(file, limits)
-        walk.sure = at
-        at = walk.over(at)
-        found.append(walk.found)
-    return found
+
+    def walked(at: int) -> tuple[ChunkIndex, int]:
+        walk = _Walk(file, at, limits)
+        return walk.found, walk.over(at)
+
+    return walked_files(walked, len(MAGIC))
 
 
 MCAP = ChunkFormat(index_mcap, mcap_contents, mcap_chunks)
 
 
 class _Walk:
-    def __init__(self, file: ByteFile, limits: LimitsParameters) -> None:
+    def __init__(self, file: ByteFile, at: int, limits: LimitsParameters) -> None:
         self.file, self.limits = file, limits
         self.found = ChunkIndex()
         self.last: Stretch | None = None  # not yet in the table
         self.before: Stretch | None = None  # the last one in the table
-        self.sure = 0  # a search for the next record starts behind it: what is before has the right length
+        self.sure = at  # a search for the next record starts behind it: what is before has the right length
         self.is_cut_chunk = False
         self.is_data = True
         self.listed_chunks = 0

@@ -14,7 +14,7 @@ from contextlib import suppress
 import numpy as np
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, Promise
+from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, Promise, walked_files
 from imgu_ros.bags.rosbag1_format import (
     COMPRESSIONS,
     MAGIC,
@@ -53,13 +53,12 @@ def index_rosbag1(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
     magic = file.read(0, min(file.size, len(MAGIC)))
     if magic != MAGIC:
         raise BagError(f"{file.path}: begins with {magic!r}; need {MAGIC!r}")
-    found: list[ChunkIndex] = []
-    at = len(MAGIC)
-    while at >= 0:
+
+    def walked(at: int) -> tuple[ChunkIndex, int]:
         walk = _Walk(file, at, limits)
-        at = walk.over(at)
-        found.append(walk.found)
-    return found
+        return walk.found, walk.over(at)
+
+    return walked_files(walked, len(MAGIC))
 
 
 def rosbag1_chunks(file: ByteFile, start: int, end: int) -> Iterator[Stretch]:

@@ -70,8 +70,8 @@ class SqliteFile:
         self._steps_left = _SCHEMA_STEPS
         try:
             self.path = self._whole(Path(os.path.realpath(path)))
-            self.size = self.path.stat().st_size
             self._database = self._connected()
+            self.size = self.path.stat().st_size  # a copy has now what its log held
         except (OSError, sqlite3.Error) as error:
             self.close()
             raise BagError(f"{path}: {error}; need a readable SQLite file") from None

@@ -12,6 +12,7 @@ from collections import Counter
 import pytest
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
+from imgu_ros.bags import chunks
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.storage import Part, RawMessage, merge_by_time
 from imgu_ros.bags.writing import BagWriter
@@ -314,3 +315,15 @@ def test_a_whole_bag_has_no_warning(tmp_path, image_message, write_rosbag1):
         with open_bag([tmp_path / f"{compression}.bag"]) as bag:
             assert sum(1 for _ in bag.messages()) == bag.message_count == 40
             assert bag.warnings == ()
+
+
+def test_endlessly_many_files_in_one_are_left_and_said(tmp_path, mcap_parts, monkeypatch):
+    monkeypatch.setattr(chunks, "_MOST_FILES", 3)
+    p = mcap_parts
+    head = p.magic + p.record(1, p.text("") * 2)
+    definitions = p.schema(1, "std_msgs/msg/String", "string data") + p.channel(1, 1, "/text")
+    files = [head + definitions + p.message(1, i, p.string_cdr(str(i))) + p.record(2, bytes(20)) for i in range(5)]
+    (tmp_path / "x.mcap").write_bytes(b"".join(file + p.magic for file in files))
+    found, warnings = read(tmp_path / "x.mcap")
+    assert found == [(0, "0"), (1, "1"), (2, "2")]
+    assert sum("3 files follow one another" in warning for warning in warnings) == 1

@@ -420,6 +420,18 @@ def test_messages_in_a_write_ahead_log_are_read_and_nothing_is_written(tmp_path,
     assert read(tmp_path / "link.db3") == (ALL, ())
 
 
+def test_a_write_ahead_log_that_is_much_larger_than_the_file(tmp_path):
+    connection = database(tmp_path / "x.db3", rows=())
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA wal_autocheckpoint = 0")
+    rows = [(1, i, cdr("x" * 5000)) for i in range(300)]
+    connection.executemany("INSERT INTO messages VALUES(NULL, ?, ?, ?)", rows)
+    connection.commit()
+    assert (tmp_path / "x.db3-wal").stat().st_size > 50 * (tmp_path / "x.db3").stat().st_size
+    assert read(tmp_path / "x.db3") == ([(i, "x" * 5000) for i in range(300)], ())
+    connection.close()
+
+
 def test_a_write_ahead_log_on_read_only_media(tmp_path):
     path = logged(tmp_path / "bag")
     mount = ["mount", "--bind", "-o", "ro", str(path.parent), str(path.parent)]
