@@ -25,8 +25,8 @@ _NOT_REPLACEABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY)
 def write_whole(path: Path, content: bytes, *, synced: bool = False) -> None:
     """Write a whole file: it is there with all of `content`, or as it was before.
 
-    A symbolic link is followed, and the file keeps its mode. What is no regular file (a pipe, `/dev/stdout`) is written
-    directly, and so is a file whose folder cannot be written.
+    A symbolic link is followed, and the file keeps its mode and, where that may be, its owner. What is no regular file
+    (a pipe, `/dev/stdout`) is written directly, and so is a file whose folder cannot be written.
 
     Parameters
     ----------
@@ -37,18 +37,20 @@ def write_whole(path: Path, content: bytes, *, synced: bool = False) -> None:
     Raises
     ------
     FileError
-        If the file cannot be written.
+        If the file cannot be written, or is there and may not be written: its folder's permission is not enough.
     """
     with file_errors(path):
         real = _followed(path)
-        mode = _mode(real)
-        if mode is not None and not stat.S_ISREG(mode):
+        before = _status(real)
+        if _is_device(real) or (before is not None and not stat.S_ISREG(before.st_mode)):
             _write_in_place(real, content)
             return
+        if before is not None and not os.access(real, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         try:
-            _replace(real, content, mode, synced)
+            _replace(real, content, before, synced)
         except OSError as error:
-            if mode is None or error.errno not in _NOT_REPLACEABLE:
+            if before is None or error.errno not in _NOT_REPLACEABLE:
                 raise
             _write_in_place(real, content)
 
@@ -139,15 +141,17 @@ def file_errors(path: Path) -> Iterator[None]:
         raise FileError(f"{path}: {reason}; need a file that can be written") from None
 
 
-def _replace(path: Path, content: bytes, mode: int | None, synced: bool) -> None:
+def _replace(path: Path, content: bytes, before: os.stat_result | None, synced: bool) -> None:
     descriptor, part = _new_part(path)
     try:
         with open(descriptor, "wb") as file:
-            if mode is not None:
-                os.fchmod(descriptor, stat.S_IMODE(mode))
+            if before is not None:
+                with contextlib.suppress(OSError):
+                    os.fchown(descriptor, before.st_uid, before.st_gid)
+                os.fchmod(descriptor, stat.S_IMODE(before.st_mode))
             file.write(content)
             file.flush()
-            if synced or mode is not None:
+            if synced or before is not None:
                 os.fsync(descriptor)
         os.replace(part, path)
     except BaseException:
@@ -176,12 +180,15 @@ def _followed(path: Path) -> Path:
     raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
 
 
-def _mode(path: Path) -> int | None:
-    """Return the mode of a file; None when there is none. A name of the kernel's counts as a device."""
-    if str(path).startswith(("/dev/fd/", "/dev/std", "/proc/")):
-        return stat.S_IFCHR
+def _is_device(path: Path) -> bool:
+    """Return whether a path is a name of the kernel's, whatever it leads to."""
+    return str(path).startswith(("/dev/fd/", "/dev/std", "/proc/"))
+
+
+def _status(path: Path) -> os.stat_result | None:
+    """Return what a file is; None when there is none."""
     try:
-        return os.stat(path).st_mode
+        return os.stat(path)
     except FileNotFoundError:
         return None
 
