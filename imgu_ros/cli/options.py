@@ -18,6 +18,8 @@ _GROUP = "parameters (see `imgu params`)"
 
 #: What reading pictures may cost, for `only`.
 PICTURE_LIMITS = ("limits.picture_mb", "limits.picture_megapixels")
+#: What reading bags may cost, for `only`.
+BAG_LIMITS = tuple(f"limits.{name}" for name in ("message_mb", "temporary_mb", "expansion", "schema_fields", "text_mb"))
 
 
 def add_parameter_options(

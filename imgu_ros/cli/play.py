@@ -10,6 +10,7 @@ import argparse
 import math
 from pathlib import Path
 
+from imgu_ros.cli.options import BAG_LIMITS, add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import say, tell
 
 HELP = "publish a bag on live topics"
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="start when the image topics have N subscribers in all (default 0: start after at most a second)",
     )  # fmt: skip
     parser.add_argument("--timeout", type=_positive, metavar="S", help="give up waiting after S seconds")
+    add_parameter_options(parser, BAG_LIMITS)
     parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], help="ROS 2 arguments: -r FROM:=TO, ...")
 
 
@@ -39,6 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     from imgu_ros.ros.middleware import require_room_to_start, set_profile
     from imgu_ros.ros.stopping import Stopped, StopSignal
 
+    limits = parameters_of(arguments).limits
     require_room_to_start()
     set_profile()
     with StopSignal() as stop:
@@ -52,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
                 duration_s=arguments.duration,
                 wait_for=arguments.wait_for,
                 timeout_s=arguments.timeout,
+                limits=limits,
             )
             ros_arguments = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
             report = play(arguments.bags, options, ros_arguments, stop, tell)

@@ -25,6 +25,7 @@ from imgu_ros.bags.reading import Bag, open_bag
 from imgu_ros.bags.storage import RawMessage
 from imgu_ros.codec.clock import clock_message
 from imgu_ros.errors import BagError, ImguError
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.middleware import large_message_warnings, profile_line
 from imgu_ros.ros.pace import Pace
@@ -60,6 +61,7 @@ class PlayOptions:
     duration_s : seconds of the recording to play; None: to the end
     wait_for : subscribers, over all image topics, to wait for; 0: start after at most a second
     timeout_s : longest wait for them; None: no bound
+    limits : what reading the bag may cost
     """
 
     rate: float = 1.0
@@ -68,6 +70,7 @@ class PlayOptions:
     duration_s: float | None = None
     wait_for: int = 0
     timeout_s: float | None = None
+    limits: LimitsParameters = DEFAULT_LIMITS
 
 
 def play(
@@ -96,7 +99,7 @@ def play(
     with stop.interruptible():
         init_ros(ros_arguments)
     try:
-        with open_bag(paths) as bag:
+        with open_bag(paths, limits=options.limits) as bag:
             player = _Player(bag, options, stop, say)
             try:
                 return player.run()

@@ -18,11 +18,14 @@ import cv2
 
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.cli.main import main
 from imgu_ros.codec.camera_info import camera_info_message
 from imgu_ros.codec.header import Header, decode_header, header_message
 from imgu_ros.codec.image import image_message
 from imgu_ros.codec.results import target_pose_message
+from imgu_ros.errors import BagError
 from imgu_ros.parameter_values import parameters_from
+from imgu_ros.params import LimitsParameters
 from imgu_ros.perception.chain import Chain
 from imgu_ros.perception.targets import TargetImage, prepare_targets
 from imgu_ros.ros import middleware, player
@@ -212,3 +215,29 @@ def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path, prompt_s):
     assert play.wait() == 0
     assert node.stop() < prompt_s
     assert node.process.returncode == 0
+
+
+def test_the_limits_of_reading_are_parameters(tmp_path, monkeypatch, capsys):
+    given = []
+
+    def play(paths, options, ros_arguments, stop, say):
+        given.append((options.limits, ros_arguments))
+        raise BagError("enough")
+
+    monkeypatch.setattr(player, "play", play)
+    monkeypatch.setattr("imgu_ros.ros.middleware.set_profile", lambda: None)
+    limits = ["-p", "limits.message_mb:=1000", "-p", "limits.expansion:=7"]
+    assert main(["play", "bag", *limits, "--ros-args", "-p", "use_sim_time:=true"]) == 1
+    assert given == [(LimitsParameters(message_mb=1000, expansion=7), ["--ros-args", "-p", "use_sim_time:=true"])]
+    assert main(["play", "bag", "-p", "limits.picture_mb:=5"]) == 1
+    assert "limits.picture_mb: no part of this command" in capsys.readouterr().err
+
+
+def test_the_limits_reach_the_bag(ros_domain, monkeypatch):
+    def opened(paths, *, limits):
+        raise BagError(f"opened with {limits.message_mb} MB")
+
+    monkeypatch.setattr(player, "open_bag", opened)
+    options = player.PlayOptions(limits=LimitsParameters(message_mb=1000))
+    with pytest.raises(BagError, match="opened with 1000 MB"), StopSignal() as stop:
+        player.play([Path("bag")], options, [], stop, lambda line: None)
