@@ -30,7 +30,8 @@ class NewestSlot(Generic[T]):
 
     Of several senders each is looked at by itself, and the one comes first that took the least of the worker's time
     lately; a new one comes last. While the worker is at another's item nobody is behind: who sends what takes long does
-    not cost the others their frames, but for those beyond a dozen.
+    not cost the others their frames, but for those beyond a dozen. Eight are told apart; all others count as one until
+    one of the eight has been silent for two seconds: endlessly many names do not cost one that stays its frames.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class NewestSlot(Generic[T]):
         self._clock = clock
         self._is_old = is_old
         self._sender = sender
-        self._senders: OrderedDict[str, _Sender[T]] = OrderedDict()  # who sent last, last
+        self._senders: OrderedDict[str | None, _Sender[T]] = OrderedDict()  # who sent last, last; None: all others
         self._served: _Sender[T] | None = None
         self._looked_s = clock()
         self._skipped = 0
@@ -71,17 +72,16 @@ class NewestSlot(Generic[T]):
     def put(self, item: T) -> None:
         """Hand over an item."""
         with self._condition:
-            name = self._sender(item)
+            now_s = self._clock()
+            name = self._known_name(self._sender(item), now_s)
             if name not in self._senders:
                 used_s = max((sender.used_s for sender in self._senders.values()), default=0.0)
                 self._senders[name] = _Sender(used_s)
-                if len(self._senders) > _SENDERS:
-                    _, forgotten = self._senders.popitem(last=False)
-                    self._skipped += len(forgotten.waiting)
             sender = self._senders[name]
             self._senders.move_to_end(name)
+            sender.last_s = now_s
             if sender.behind_since_s is None:
-                sender.behind_since_s = self._clock()
+                sender.behind_since_s = now_s
             sender.waiting.append(item)
             self._give_way()
             self._condition.notify()
@@ -117,6 +117,16 @@ class NewestSlot(Generic[T]):
             self._closed = True
             self._senders.clear()
             self._condition.notify_all()
+
+    def _known_name(self, name: str, now_s: float) -> str | None:
+        """Return the name that a sender is told apart by; None when it is one of the others."""
+        if name in self._senders or len(self._senders.keys() - {None}) < _SENDERS:
+            return name
+        for known, sender in self._senders.items():
+            if known is not None and not sender.waiting and now_s - sender.last_s > _LATELY_S:
+                del self._senders[known]
+                return name
+        return None
 
     def _is_waiting(self) -> bool:
         return any(sender.waiting for sender in self._senders.values())
@@ -155,8 +165,12 @@ class NewestSlot(Generic[T]):
 
 @dataclass(slots=True, eq=False)
 class _Sender(Generic[T]):
-    """One sender: the worker's time that it took lately, what waits, and since when not all of it has been taken."""
+    """One sender: the worker's time that it took lately, what waits, since when not all of it has been taken.
+
+    `last_s`: when it sent last.
+    """
 
     used_s: float
+    last_s: float = 0.0
     waiting: deque[T] = field(default_factory=deque)
     behind_since_s: float | None = None

@@ -151,10 +151,31 @@ def test_a_sender_whose_items_take_long_costs_the_others_nothing() -> None:
     assert len(taken) > 310, "the strangers get what is left"
 
 
-def test_endless_senders_are_forgotten() -> None:
-    slot: NewestSlot[int] = NewestSlot(clock=Clock(), sender=str)
+def test_endless_senders_count_as_one_until_there_is_room() -> None:
+    clock = Clock()
+    slot: NewestSlot[int] = NewestSlot(clock=clock, sender=str)
     for item in range(100):
         slot.put(item)
-    assert len(slot._senders) == 8
-    assert slot.skipped == 92
-    assert slot.take() in range(92, 100)
+    assert len(slot._senders) == 9
+    assert slot.skipped == 88
+    assert sorted(slot.take() for _ in range(12)) == [*range(8), *range(96, 100)]
+    clock.now_s = 3.0
+    slot.put(100)
+    assert "100" in slot._senders, "another was silent"
+    assert len(slot._senders) == 9
+
+
+def test_endless_senders_cost_one_that_stays_nothing() -> None:
+    """A camera at 30 Hz among 600 Hz of images with another frame_id each; every image takes 6 ms."""
+    clock = Clock()
+    slot: NewestSlot[str] = NewestSlot(clock=clock, sender=str)
+    taken = 0
+    for period in range(300):
+        slot.put("camera")
+        for number in range(20):
+            slot.put(f"{period} {number}")
+        while slot._is_waiting() and clock.now_s + 0.006 < (period + 1) / 30:
+            taken += slot.take() == "camera"
+            clock.now_s += 0.006
+        clock.now_s = (period + 1) / 30
+    assert taken == 300
