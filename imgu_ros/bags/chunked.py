@@ -43,7 +43,8 @@ class ChunkedStorage:
     warnings : takes what is damaged, now and while reading
     index : what a walk over the file found
     form : how chunks are parsed and found
-    limits : `message_mb` bounds a chunk, `expansion` what all become
+    limits : `message_mb` bounds a chunk
+    expansion : bounds what all chunks become, of several files in one together
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class ChunkedStorage:
         index: ChunkIndex,
         form: ChunkFormat,
         limits: LimitsParameters = DEFAULT_LIMITS,
+        expansion: Expansion | None = None,
     ) -> None:
         self._file, self._name, self._warnings = file, name, warnings
         self._index, self._form, self._limits = index, form, limits
@@ -63,7 +65,7 @@ class ChunkedStorage:
         self._sought: set[int] = set()
         for remark in index.remarks:
             warnings.add(f"{name}: {remark}")
-        self._expansion = Expansion(limits)
+        self._expansion = expansion or Expansion(limits)
         self._too_much = self._beyond_expansion()
         is_promised = self._is_as_promised()
         is_damaged = index.is_doubtful or any(gap.end < file.size for gap in index.gaps)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import le
 from typing import Protocol
 
@@ -20,6 +20,8 @@ from imgu_ros.params import LimitsParameters
 #: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
 _VIEWED_BYTES = 2**16
 _MOST_TEXT = 2**26
+#: That a definition takes beside its texts.
+_RECORD_BYTES = 200
 #: Of files in one: each takes some kilobytes and a part of a millisecond, and may have 40 bytes.
 _MOST_FILES = 5000
 #: Numbers that are compared faster one by one than as an array.
@@ -47,29 +49,49 @@ class ChannelRecord:
 
 
 @dataclass(slots=True, eq=False)
-class Definitions:
-    """Definitions by their ids; of two with the same id, the first counts.
+class Room:
+    """What definitions may take together, `_MOST_TEXT` bytes; a text that comes again takes nothing."""
 
-    They are kept: beyond `_MOST_TEXT` bytes of all together, they are not taken.
-    """
+    left: int = _MOST_TEXT
+    texts: dict[str, str] = field(default_factory=dict)
+
+    def kept(self, record: SchemaRecord | ChannelRecord) -> SchemaRecord | ChannelRecord | None:
+        """Return the record, its text as it is known; None when there is no room for it."""
+        if isinstance(record, ChannelRecord):
+            text, size = "", len(record.topic)
+        else:
+            text, size = record.text, len(record.name)
+        size += _RECORD_BYTES + (0 if text in self.texts else len(text))
+        if size > self.left:
+            return None
+        self.left -= size
+        return record if isinstance(record, ChannelRecord) else replace(record, text=self.texts.setdefault(text, text))
+
+
+@dataclass(slots=True, eq=False)
+class Definitions:
+    """Definitions by their ids; of two with the same id, the first counts. Beyond their room they are not taken."""
 
     schemas: dict[int, SchemaRecord] = field(default_factory=dict)
     channels: dict[int, ChannelRecord] = field(default_factory=dict)
-    size: int = 0
+    room: Room = field(default_factory=Room)
 
     def define(self, record: SchemaRecord | ChannelRecord) -> None:
         """Take a definition."""
-        if isinstance(record, SchemaRecord):
-            if record.id not in self.schemas and self._fits(len(record.name) + len(record.text)):
-                self.schemas[record.id] = record
-        elif record.id not in self.channels and self._fits(len(record.topic)):
-            self.channels[record.id] = record
+        if record.id in (self.schemas if isinstance(record, SchemaRecord) else self.channels):
+            return
+        kept = self.room.kept(record)
+        if isinstance(kept, SchemaRecord):
+            self.schemas[kept.id] = kept
+        elif kept is not None:
+            self.channels[kept.id] = kept
 
-    def _fits(self, size: int) -> bool:
-        if self.size + size > _MOST_TEXT:
-            return False
-        self.size += size
-        return True
+    def share(self, room: Room) -> None:
+        """Take from a room that others take from too."""
+        kept = [room.kept(record) for record in (*self.schemas.values(), *self.channels.values())]
+        self.room = room
+        self.schemas = {record.id: record for record in kept if isinstance(record, SchemaRecord)}
+        self.channels = {record.id: record for record in kept if isinstance(record, ChannelRecord)}
 
     def take(self, other: Definitions) -> None:
         """Take what another one defines and this one does not."""
@@ -221,11 +243,13 @@ def walked_files(walk: Callable[[int], tuple[ChunkIndex, int]], start: int) -> l
     start : of the first
     """
     found: list[ChunkIndex] = []
-    at = start
+    at, room = start, Room()
     while at >= 0:
         if len(found) == _MOST_FILES:
             found[-1].remarks.append(f"{_MOST_FILES} files follow one another: what is behind byte {at} is not read")
             break
         index, at = walk(at)
+        for definitions in (index.definitions, index.summary):
+            definitions.share(room)
         found.append(index)
     return found

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.chunked import ChunkedStorage
-from imgu_ros.bags.compression import ZSTD_MAGIC, TemporarySpace, decompress_file
+from imgu_ros.bags.compression import ZSTD_MAGIC, Expansion, TemporarySpace, decompress_file
 from imgu_ros.bags.mcap_format import MAGIC as MCAP_MAGIC
 from imgu_ros.bags.mcap_index import MCAP
 from imgu_ros.bags.rosbag1_format import MAGIC as ROSBAG1_MAGIC
@@ -105,7 +105,10 @@ class Opening:
             form = next((form for begin, form in _FORMATS.items() if magic.startswith(begin)), None)
             if form is not None:
                 found = form.index(file, self.limits)
-                storages = [ChunkedStorage(file, name, self.warnings, index, form, self.limits) for index in found]
+                expansion = Expansion(self.limits)
+                storages = [
+                    ChunkedStorage(file, name, self.warnings, index, form, self.limits, expansion) for index in found
+                ]
             elif magic == _SQLITE_MAGIC:
                 file.close()
                 storages = [SqliteStorage(path, name, self.warnings, self.limits)]

@@ -13,6 +13,7 @@ import lz4.frame
 import pytest
 
 from imgu_ros.bags import compression
+from imgu_ros.bags.chunks import ChannelRecord, Definitions, Room, SchemaRecord
 from imgu_ros.bags.compression import Expansion, decompressed, decompressed_message, zstd
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.errors import BagError
@@ -147,3 +148,38 @@ def test_overlapping_bombs_are_read_one_after_the_other(tmp_path, mcap_parts):
             assert sum(1 for _ in bag.raw_messages()) == 30
 
     assert peak_mb(count) < 40
+
+
+def test_definitions_of_files_in_one_share_their_room(tmp_path, mcap_parts):
+    """Chunks of a thousand bytes that each hold eight megabytes of definitions, of one file behind the other."""
+    p = mcap_parts
+
+    def one(number):
+        texts = [chr(65 + number) + letter * 3_900_000 for letter in "ab"]
+        records = b"".join(p.schema(i + 1, "a/msg/B", text) for i, text in enumerate(texts))
+        records += p.channel(1, 1, "/text") + p.message(1, number, p.string_cdr("a"))
+        return p.magic + p.record(1, p.text("") * 2) + p.channel(9, 9, "") + p.chunk(records, 0, 9, "zstd", crc=False)
+
+    (tmp_path / "x.mcap").write_bytes(b"".join(map(one, range(30))) + p.magic)
+
+    def read():
+        with open_bag([tmp_path / "x.mcap"], limits=SMALL) as bag:
+            # What a definition is lost of is skipped, and said.
+            assert 5 < sum(1 for _ in bag.raw_messages()) <= 30
+
+    assert peak_mb(read) < 130
+
+
+def test_a_text_that_comes_again_takes_no_room():
+    texts = [str(i) * 400 for i in range(3)]
+    room = Room(left=3000)
+    files = [Definitions() for _ in range(3)]
+    for definitions in files:
+        definitions.define(SchemaRecord(1, "a/msg/B", "ros2msg", texts[0] + ""))
+        definitions.define(ChannelRecord(1, 1, "/a", "cdr"))
+        definitions.share(room)
+    assert all(definitions.schemas and definitions.channels for definitions in files)
+    assert room.left == 3000 - 400 - 3 * (200 + 7) - 3 * (200 + 2)
+    for i in (1, 2, 3):
+        files[0].define(SchemaRecord(i, "a/msg/C", "ros2msg", texts[1] if i == 2 else texts[2] * 4))
+    assert files[0].schemas.keys() == {1, 2}
