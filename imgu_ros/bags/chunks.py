@@ -88,7 +88,8 @@ class Definitions:
 
     def share(self, room: Room) -> None:
         """Take from a room that others take from too."""
-        kept = [room.kept(record) for record in (*self.schemas.values(), *self.channels.values())]
+        records: list[SchemaRecord | ChannelRecord] = [*self.schemas.values(), *self.channels.values()]
+        kept = [room.kept(record) for record in records]
         self.room = room
         self.schemas = {record.id: record for record in kept if isinstance(record, SchemaRecord)}
         self.channels = {record.id: record for record in kept if isinstance(record, ChannelRecord)}
