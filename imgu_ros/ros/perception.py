@@ -98,7 +98,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
 
     def _adopt(self, built: Built) -> None:
         """Look for these targets from now on, and have a publisher for each of their topics."""
-        with self._worker.between_frames():
+        with self._input.standstill.excused(), self._worker.between_frames():
             self._worker.use(built)
             self._fit_outputs([target.name for target in built.targets])
 
@@ -197,8 +197,8 @@ class PerceptionNode(ManagedNode[ImageInput]):
         )
 
     def _reset(self) -> str:
-        self._worker.reset()
-        with self._worker.between_frames():
+        with self._input.standstill.excused(), self._worker.between_frames():
+            self._worker.reset()
             if self._outputs is not None:
                 self._outputs.reset()
         return "all tracks and paths forgotten"

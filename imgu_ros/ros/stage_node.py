@@ -150,7 +150,7 @@ class StageNode(ManagedNode[StageInput]):
             self._input.close()
 
     def _follow(self, parameters: Parameters) -> None:
-        with self._between_frames:
+        with self._standstill.excused(), self._between_frames:
             self._used = parameters
             try:
                 self._stage.use(parameters, self._images)
@@ -194,7 +194,7 @@ class StageNode(ManagedNode[StageInput]):
         self._diagnostics.publish(diagnostics_message(make_message, self.get_clock().now().nanoseconds, entries))
 
     def _reset(self) -> str:
-        with self._between_frames:
+        with self._standstill.excused(), self._between_frames:
             if self._outputs is not None:
                 self._outputs.reset()
             self._stage.reset()
@@ -211,7 +211,7 @@ class StageNode(ManagedNode[StageInput]):
             else []
         )
         self._require_configured()  # it may have been cleaned up meanwhile
-        with self._between_frames:
+        with self._standstill.excused(), self._between_frames:
             self._stage.read_again(parameters)
             self._adopt(parameters, images)
             self._server.reload(parameters)

@@ -7,10 +7,11 @@ served first, as if they were news.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 #: A process that is called many times a second, and was not for so long, stood still.
 _STANDSTILL_S = 1.0
@@ -42,6 +43,7 @@ class Standstill:
         self._elapsed_s, self._now_s, self._wall_ns = elapsed_s, now_s, wall_ns
         self._lock = threading.Lock()
         self._beat_s: float | None = None
+        self._is_excused = False
         self._ended_s = self._ended_elapsed_s = -_TOLD_S
         self._ended_wall_ns = 0
         self._lasted_s = 0.0
@@ -65,10 +67,19 @@ class Standstill:
         with self._lock:
             self._beat_s = None
 
-    def beat(self) -> None:
-        """Be called."""
+    @contextlib.contextmanager
+    def excused(self) -> Iterator[None]:
+        """Be held up by something of the node's own, a frame that takes long: that is no standstill."""
         with self._lock:
             self._look()
+            self._is_excused = True
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._is_excused = False
+                if self._beat_s is not None:
+                    self._beat_s = self._elapsed_s()
 
     def precedes(self, received_s: float) -> bool:
         """Return whether what was received at a time, by `now_s`, is from before the last standstill's end."""
@@ -113,7 +124,7 @@ class Standstill:
             return self._text() if self._elapsed_s() - self._ended_elapsed_s < _TOLD_S else ""
 
     def _look(self) -> None:
-        if self._beat_s is None:
+        if self._beat_s is None or self._is_excused:
             return
         last_s, self._beat_s = self._beat_s, self._elapsed_s()
         if self._beat_s - last_s < _STANDSTILL_S:

@@ -59,7 +59,7 @@ def test_a_slow_camera_is_no_standstill_while_a_timer_calls() -> None:
     for _ in range(10):
         for _ in range(30):
             machine.passes(0.1)
-            machine.standstill.beat()
+            machine.standstill.news()
         assert not machine.comes(sent_ago_s=0.5), "a slow network"
     assert machine.standstill.news() == machine.standstill.lately() == ""
 
@@ -68,13 +68,13 @@ def test_what_comes_later_is_fresh_although_a_clock_was_set() -> None:
     machine = Machine()
     machine.runs(1.0)
     machine.passes(3.0)
-    machine.standstill.beat()
+    machine.standstill.news()
     machine.wall_ns += 3600 * SECOND
     machine.sender_ahead_ns = -7200 * SECOND
     assert machine.comes()
     for _ in range(25):
         machine.passes(0.1)
-        machine.standstill.beat()
+        machine.standstill.news()
     assert not machine.comes(), "not for ever"
 
 
@@ -95,3 +95,23 @@ def test_a_middleware_without_time_stamps_drops_what_was_received_before_alone()
     machine.passes(5.0)
     assert not machine.standstill.is_old(0)
     assert machine.standstill.precedes(received_s)
+
+
+def test_a_node_that_waits_for_its_own_frame_stands_not_still() -> None:
+    """`~/reset` waits for the end of a frame."""
+    machine = Machine()
+    machine.runs(1.0)
+    received_s = machine.monotonic_s
+    with machine.standstill.excused():
+        machine.passes(2.0)
+        assert not machine.standstill.precedes(received_s), "asked by the worker"
+        machine.passes(2.0)
+    assert not machine.comes(3.5)
+    assert machine.standstill.lately() == ""
+    machine.passes(2.0)
+    assert machine.comes(1.9)
+    machine.standstill.end()
+    with machine.standstill.excused():
+        machine.passes(9.0)
+    machine.passes(9.0)
+    assert machine.standstill.lately() == ""
