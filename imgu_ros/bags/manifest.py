@@ -10,6 +10,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from imgu_ros.bags.folder_lock import LOCK
 from imgu_ros.errors import FileError
 from imgu_ros.files.text_files import write_text
 
@@ -99,5 +100,5 @@ def _is_inside(name: str) -> bool:
         len(name) <= _MOST_CHARACTERS
         and "\0" not in name
         and len(parts) <= _MOST_DEPTH
-        and not any(part in ("", ".", "..") or part.startswith(".imgu") for part in parts)
+        and not any(part in ("", ".", "..", MANIFEST, LOCK) for part in parts)
     )

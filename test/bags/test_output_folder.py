@@ -277,3 +277,12 @@ def test_inputs_are_not_removed(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "bag", tmp_path / "bag" / "data.mcap", tmp_path / "table.csv"):
         with pytest.raises(FileError, match="is to be read"):
             check_output_folder(tmp_path, CONTENTS, overwrite=True, inputs=[path])
+
+
+def test_a_folder_whose_name_begins_as_the_runs_own_files(tmp_path: Path) -> None:
+    contents = Contents("simulation", (".imgu_x.mcap", "metadata.yaml"), "metadata.yaml")
+    for text in ("1", "2"):
+        with run(tmp_path / ".imgu_x", contents=contents):
+            for name in contents.files:
+                (tmp_path / ".imgu_x" / name).write_text(text)
+        assert (tmp_path / ".imgu_x" / ".imgu_x.mcap").read_text() == text
