@@ -14,7 +14,6 @@ from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.chunks import ChannelRecord, ChunkFormat, ChunkIndex, Contents
 from imgu_ros.bags.compression import Expansion, check_message_size, decompressed
 from imgu_ros.bags.storage import (
-    DEFAULT_LIMITS,
     Channel,
     Part,
     RawMessage,
@@ -24,7 +23,7 @@ from imgu_ros.bags.storage import (
 )
 from imgu_ros.bags.stretches import Stretch
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: Chunks that were sought in damaged ones may be this many times the file, and as many bytes more.
 _SEARCH_FACTOR, _SEARCH_BYTES = 4, 2**26

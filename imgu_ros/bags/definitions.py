@@ -22,9 +22,9 @@ from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
 from imgu_ros.bags.messages import typestore
-from imgu_ros.bags.storage import DEFAULT_LIMITS, Channel
+from imgu_ros.bags.storage import Channel
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Msgdef

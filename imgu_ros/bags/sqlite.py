@@ -14,7 +14,6 @@ from rosbags.typesys.msg import normalize_msgtype
 from imgu_ros.bags.sqlite_file import Column, SqliteFile
 from imgu_ros.bags.sqlite_pages import SqlitePages
 from imgu_ros.bags.storage import (
-    DEFAULT_LIMITS,
     MAX_TIME_NS,
     Channel,
     Part,
@@ -25,7 +24,7 @@ from imgu_ros.bags.storage import (
 )
 from imgu_ros.bags.text import text_of
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: Rows of the tables `topics` and `message_definitions`, and their texts together, in `limits.text_mb`.
 _MOST_NAMED, _MOST_TEXT = 65_536, 16

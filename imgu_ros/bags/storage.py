@@ -10,11 +10,8 @@ from enum import StrEnum
 from operator import itemgetter
 from typing import Protocol
 
-from imgu_ros.params import LimitsParameters
 from imgu_ros.shown_text import shown
 
-#: Of whoever has no parameters at hand.
-DEFAULT_LIMITS = LimitsParameters()
 #: Times of messages are signed 64-bit nanoseconds everywhere in ROS.
 MAX_TIME_NS = 2**63 - 1
 

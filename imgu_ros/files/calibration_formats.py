@@ -21,7 +21,7 @@ import yaml
 from imgu_ros.codec.camera_reading import CameraDescription
 from imgu_ros.errors import FileError
 from imgu_ros.files.yaml_tree import yaml_tree
-from imgu_ros.params import LimitsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: Names, in lower case and without underscores, of what a YAML says.
 _NAMES = {
@@ -40,11 +40,10 @@ _WANTED = "need a camera_info YAML or INI file, an echoed camera_info, or what O
 _MOST_NUMBERS = 64
 #: More pixels than any image has.
 _MOST_PIXELS = 2**31
-_DEFAULT_LIMITS = LimitsParameters()
 
 
 def described_camera(
-    text: str, source: str, limits: LimitsParameters = _DEFAULT_LIMITS
+    text: str, source: str, limits: LimitsParameters = DEFAULT_LIMITS
 ) -> tuple[CameraDescription, str]:
     """Return what a calibration says of its (first) camera, and the camera's name, empty when it has none.
 

@@ -14,11 +14,9 @@ from imgu_ros.errors import FileError
 from imgu_ros.files.calibration_formats import described_camera
 from imgu_ros.files.reading import file_bytes
 from imgu_ros.files.text_files import write_text
-from imgu_ros.params import LimitsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.intrinsics import Camera
-
-_DEFAULT_LIMITS = LimitsParameters()
 
 
 def read_camera_info(path: Path | str, *, rectified: bool = False) -> Camera:
@@ -46,7 +44,7 @@ def read_calibration(
     rectified: bool = False,
     image_size: tuple[int, int] | None = None,
     covariance: tuple[float, ...] = (),
-    limits: LimitsParameters = _DEFAULT_LIMITS,
+    limits: LimitsParameters = DEFAULT_LIMITS,
 ) -> CameraReading:
     """Read a calibration file as a camera_info message is read: what cannot be used is the reading's reason.
 
@@ -66,14 +64,14 @@ def read_calibration(
     return read_camera(description, rectified=rectified, image_size=image_size, covariance=covariance)
 
 
-def read_description(path: Path | str, limits: LimitsParameters = _DEFAULT_LIMITS) -> CameraDescription:
+def read_description(path: Path | str, limits: LimitsParameters = DEFAULT_LIMITS) -> CameraDescription:
     """Return what a calibration file says; FileError as `read_calibration`, or if `limits.text_mb` are exceeded."""
     return described_camera(_text(Path(path), limits), str(path), limits)[0]
 
 
 def read_camera_name(path: Path | str) -> str:
     """Return the camera's name in a calibration file; empty when it has none. FileError as `read_calibration`."""
-    return described_camera(_text(Path(path), _DEFAULT_LIMITS), str(path))[1]
+    return described_camera(_text(Path(path), DEFAULT_LIMITS), str(path))[1]
 
 
 def write_camera_info(path: Path | str, camera: Camera, name: str = "camera") -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from imgu_ros.params import LimitsParameters
+from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: libyaml where PyYAML was built with it.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -16,10 +16,9 @@ _DEEPEST = 100
 _VALUE = 4
 _NULLS = frozenset(("", "~", "null", "Null", "NULL"))
 _NO_KEY = object()
-_DEFAULT_LIMITS = LimitsParameters()
 
 
-def yaml_tree(text: str, limits: LimitsParameters = _DEFAULT_LIMITS) -> Any:
+def yaml_tree(text: str, limits: LimitsParameters = DEFAULT_LIMITS) -> Any:
     """Return the first document of a YAML text as dictionaries, lists and texts; None for what is empty.
 
     Tags mean nothing, and numbers stay text: whoever needs one knows how long it may be. Of keys that come twice the
