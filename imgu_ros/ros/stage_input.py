@@ -16,6 +16,7 @@ from rclpy.subscription import Subscription
 
 from imgu_ros.codec.header import decode_header
 from imgu_ros.codec.pairing import Pair, Pairing
+from imgu_ros.params import DEFAULT_LIMITS
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.newest import NewestSlot
@@ -32,6 +33,8 @@ _SHORT_PATIENCE_S = 0.3
 #: A topic that nobody has published for so long is absent.
 _ABSENT_S = 2.0
 _DISCOVERY_S = 1.0
+#: Between two warnings of messages that are too large.
+_REPEAT_S = 10.0
 #: Stamps whose messages are waited for; a picture may be some megabytes.
 _MOST_WAITING = 12
 
@@ -94,6 +97,7 @@ class StageInput:
     counters : lost messages and incompatible QoS
     group : of the subscriptions' callbacks
     topics : as given
+    limits : `message_mb` bounds the data of a message
     """
 
     def __init__(
@@ -108,6 +112,7 @@ class StageInput:
         self.counters = QosCounters()
         self.group = MutuallyExclusiveCallbackGroup()
         self.topics = topics
+        self.limits = DEFAULT_LIMITS
         self._node = node
         self._is_complete = is_complete
         self._slot = slot
@@ -227,6 +232,11 @@ class StageInput:
             if self.standstill.is_old(info["source_timestamp"]):
                 if is_first:
                     self._slot.skip()
+                return
+            size = len(getattr(message, "data", ()))
+            if size > 1_000_000 * self.limits.message_mb:
+                need = f"need at most {self.limits.message_mb} (limits.message_mb)"
+                self._node.get_logger().warning(f"{name}: {size / 1e6:.1f} MB; {need}", throttle_duration_sec=_REPEAT_S)
                 return
             now = time.monotonic()
             self._came_s[name] = now

@@ -143,6 +143,7 @@ class StageNode(ManagedNode[StageInput]):
         if parameters is not self._used:
             self._follow(parameters)
         self._listened = self._outputs is not None and self._outputs.wanted()
+        self._input.limits = parameters.limits
         if self._state().works:
             self._input.open()
             self._input.check_waiting()

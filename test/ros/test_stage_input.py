@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
 from imgu_ros.codec.header import Header, decode_header, header_message
+from imgu_ros.params import LimitsParameters
 from imgu_ros.ros import stage_input
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.newest import NewestSlot
@@ -133,3 +136,16 @@ def test_a_closed_input_holds_nothing():
     assert not rig.node.callbacks
     assert not rig.taken()
     assert rig.input.why_silent() == ""
+
+
+def test_a_message_that_is_too_large_is_passed_over_and_said() -> None:
+    rig, said = Rig(), []
+    rig.node.get_logger = lambda: SimpleNamespace(warning=lambda text, **_: said.append(text))  # type: ignore[attr-defined]
+    rig.input.limits = LimitsParameters(message_mb=1)
+    header = header_message(make_message, Header(1, "camera"))
+    for size in (1_000_001, 1_000_000):
+        assert rig.slot.skipped == 0
+        cloud = make_message(CLOUD, header=header, data=np.zeros(size, np.uint8))
+        rig.node.callbacks["/a"](cloud, {"source_timestamp": 0})
+    assert said == ["a: 1.0 MB; need at most 1 (limits.message_mb)"]
+    assert rig.tell("b", 1) == [1]
