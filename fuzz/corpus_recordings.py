@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import struct
 from collections.abc import Callable
@@ -15,7 +16,21 @@ from typing import Any
 from fuzz import mcap, rosbag1, sqlite, texts
 from fuzz.corpus_entry import Entry, file_of
 from fuzz.kinds import RECORDING
-from fuzz.mcap import CHUNK, FOOTER, MAGIC, MESSAGE, Layout, Node, joined, mcap_file, parsed, seeds, string
+from fuzz.mcap import (
+    CHANNEL,
+    CHUNK,
+    FOOTER,
+    MAGIC,
+    MESSAGE,
+    SCHEMA,
+    Layout,
+    Node,
+    joined,
+    mcap_file,
+    parsed,
+    seeds,
+    string,
+)
 from fuzz.messages import Recorded, recorded
 from fuzz.zstd import compressed, repeated
 
@@ -160,6 +175,52 @@ def _wal_read_only(folder: Path) -> Path:
     return path
 
 
+def _all_in_the_log(folder: Path) -> Path:
+    """A file of one page, and all messages in the log of a recorder that was killed."""
+    path, work = folder / "bag.db3", folder / "work"
+    work.mkdir()
+    with closing(sqlite3.connect(work / path.name)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        with closing(sqlite3.connect(":memory:")) as seed:
+            seed.deserialize(sqlite.seeds()[0])
+            database.executescript("\n".join(seed.iterdump()))
+        for end in ("", sqlite.WAL):
+            path.with_name(path.name + end).write_bytes((work / f"{path.name}{end}").read_bytes())
+    shutil.rmtree(work)
+    return path
+
+
+def _announcing_little(nodes: list[Node]) -> None:
+    """Chunks that announce 100 bytes, and hold 8 MB in 300."""
+    packed = repeated(2**23)
+    head = struct.pack("<QQQI", 1, 2, 100, 0) + string(b"zstd") + struct.pack("<Q", len(packed))
+    at = nodes.index(_chunks(nodes)[1])
+    nodes[at:at] = [Node(CHUNK, head + packed)] * 400
+
+
+def _endless_files() -> bytes:
+    channel = Node(CHANNEL, struct.pack("<HH", 1, 1) + string(b"") * 2 + bytes(4))
+    return seeds()[0] + joined([Node(-1, MAGIC), Node(1), channel]) * 20_000
+
+
+def _definitions_of_files() -> bytes:
+    """Files of 4 KB, each with a chunk of 60 MB of definitions."""
+    files = []
+    for number in range(30):
+        texts_of_chunk = [bytes([65 + number]) * 3_900_000 for _ in range(16)]
+        schemas = [
+            Node(
+                SCHEMA,
+                struct.pack("<H", i + 1) + string(b"a/msg/B") + string(b"ros2msg") + string(bytes([48 + i]) + text),
+            )
+            for i, text in enumerate(texts_of_chunk)
+        ]
+        channel = Node(CHANNEL, struct.pack("<HH", 1, 1) + string(b"/t") + string(b"cdr") + bytes(4))
+        files += [Node(-1, MAGIC), Node(1), channel, Node(CHUNK, inside=schemas, compression=b"zstd")]
+    return seeds()[0] + joined(files)
+
+
 def _folder(metadata: bytes | None = None, **files: bytes) -> Callable[[Path], Path]:
     def build(folder: Path) -> Path:
         given = files or {"bag_0.mcap": seeds()[0]}
@@ -263,6 +324,9 @@ ENTRIES: dict[str, Entry] = {
     "zstd_message_of_3_gb": _mcap(_holding(_with_a_bomb), _ALL),
     "zstd_row_of_3_gb": _mcap(_sql(f"INSERT INTO messages VALUES(99, 4, 5, x'{repeated(_BOMB).hex()}')"), _ALL),
     "chunks_that_overlap": _mcap(_edited(_overlapping), _ALL),
+    "chunks_that_announce_little": _mcap(_edited(_announcing_little), _ALL),
+    "endless_files_in_one": _mcap(file_of("bag.mcap", _endless_files), _ALL, "5000 files follow one another"),
+    "definitions_of_files_in_one": _mcap(file_of("bag.mcap", _definitions_of_files), _ALL),
     "chunk_in_a_chunk": _mcap(_edited(_nested), _ALL),
     "schema_array_of_100_million": _mcap(_schema_of("uint8[100000000] data"), _ALL),
     "schema_arrays_of_arrays": _mcap(_schema_of(f"my/A[100000] a\n{_NEXT}MSG: my/A\nfloat64[100000] b"), _ALL),
@@ -289,6 +353,7 @@ ENTRIES: dict[str, Entry] = {
     "database_of_an_endless_view": _mcap(_sql(_ENDLESS_VIEW)),
     "database_of_generated_times": _mcap(_sql(_GENERATED_TIMES)),
     "database_name_of_100_mb": _mcap(_sql(_LONG_NAME), 9, "limits.text_mb"),
+    "database_all_in_its_log": _mcap(_all_in_the_log, _ALL),
     "database_with_a_log": _mcap(_wal, 2 * _ALL),
     "database_with_a_log_read_only": _mcap(_wal_read_only, 2 * _ALL),
     "metadata_aliases": _mcap(_folder(texts.bomb(12, 10)), _ALL),

@@ -99,11 +99,6 @@ class Pairing(Generic[ImageT, InfoT]):
         self._cameras: OrderedDict[str, _Camera[ImageT]] = OrderedDict()
         self._infos: OrderedDict[str, _Infos[InfoT]] = OrderedDict()
 
-    @property
-    def info_frames(self) -> tuple[str, ...]:
-        """The frame_ids that camera_info has come with, the last one last."""
-        return tuple(self._infos)
-
     def add_image(self, stamp_ns: int, image: ImageT, frame_id: str = "") -> list[Pair[ImageT, InfoT]]:
         """Take the next image."""
         if not self._expects:

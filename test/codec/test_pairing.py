@@ -152,7 +152,7 @@ def test_a_strange_camera_info_costs_no_cameras_own():
             (pair,) = pairing.add_camera_info(n * FRAME_NS, name, name)
             assert pair.image == pair.camera_info
     assert pairing.add_camera_info(FRAME_NS, "strange", "strange") == []
-    assert len(pairing.info_frames) == 8
+    assert len(pairing._infos) == 8
 
 
 def run_cameras(events: str) -> list[tuple[str, str | None]]:
