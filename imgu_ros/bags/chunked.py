@@ -114,7 +114,7 @@ class ChunkedStorage:
     def _is_as_promised(self) -> bool:
         """Whether the file's statistics are there, and agree with the indexes of its chunks."""
         promise, index = self._index.promise, self._index
-        if promise is None:
+        if promise is None or promise.chunks < 0:  # a list of chunks alone tells of no message
             return False
         counts = self._table.totals()
         return (

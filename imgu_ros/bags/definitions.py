@@ -39,7 +39,7 @@ _OBJECT, _NUMBER, _TEXT, _ARRAY = 120, 40, 80, 160
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
 #: A text or a comment of IDL; one that does not end goes to the end, so that no other begins in it.
-_IDL_TEXT = re.compile(r'"(?:[^"\\]|\\.)*"?|//[^\n]*|/\*(?:.*?\*/|.*)', re.DOTALL)
+_IDL_TEXT = re.compile(r'"(?:[^"\\]++|\\.)*+"?|//[^\n]*|/\*(?:.*?\*/|.*)', re.DOTALL)
 _IDL_ANNOTATION = re.compile(r"@\s*[\w:]+\s*(\([^()]*\))?|^[ \t]*#[^\n]*", re.MULTILINE)
 
 

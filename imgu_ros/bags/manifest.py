@@ -96,6 +96,10 @@ def _parsed(document: object) -> tuple[str, frozenset[str]]:
 
 def _is_inside(name: str) -> bool:
     parts = name.split("/")
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:  # half a character, which no file's name has
+        return False
     return (
         len(name) <= _MOST_CHARACTERS
         and "\0" not in name

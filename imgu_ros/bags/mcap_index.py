@@ -12,7 +12,7 @@ import struct
 import zlib
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, walked_files
+from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, Promise, walked_files
 from imgu_ros.bags.mcap_format import (
     COMPRESSION_LENGTHS,
     COMPRESSIONS,
@@ -100,6 +100,8 @@ class _Walk:
             except BagError as error:
                 at = self.stepped_over(at, error) or self.recovered(at)
         self.close_stretch()
+        if self.found.promise is None and self.listed_chunks and self.found.is_complete:
+            self.found.promise = Promise("list of chunks", listed_chunks=self.listed_chunks)
         return self.next_file
 
     def next_record(self, at: int) -> int:

@@ -17,7 +17,8 @@ from imgu_ros.errors import EncodingError, ShapeError
 from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.types import Image, as_image
 
-_GAP = rb"(?:[ \t\r\n\v\f]|#[^\r\n]*[\r\n])+"
+#: Possessive: what could be taken back would be kept in memory, 200 bytes for each comment.
+_GAP = rb"(?:[ \t\r\n\v\f]++|#[^\r\n]*+[\r\n])++"
 _NUMBER = rb"(\d{1,10})"
 _SIZE = re.compile(rb"P([1-6])" + _GAP + _NUMBER + _GAP + _NUMBER)
 _MAXVAL = re.compile(_GAP + _NUMBER)

@@ -205,6 +205,15 @@ def test_the_data_count_where_index_and_statistics_are_wrong(tmp_path, tiny_mcap
         assert any("promises" in warning and "it has 3" in warning for warning in warnings) or b"\x05\0" in forged
 
 
+def test_a_list_of_chunks_counts_without_statistics(tmp_path, tiny_mcap, mcap_parts):
+    data = tiny_mcap(CHUNKS).data()
+    end = len(data) - 37
+    listed = mcap_parts.record(8, bytes(75))  # of which only the number counts
+    for number, said in ((0, ()), (6, ()), (7, ("x.mcap: 7 chunks in its list of chunks; 6 are there",))):
+        (tmp_path / "x.mcap").write_bytes(data[:end] + number * listed + data[end:])
+        assert read(tmp_path / "x.mcap") == (ALL, said)
+
+
 def test_a_summary_of_another_checksum_is_not_believed(tmp_path, tiny_mcap, mcap_parts):
     """Its channel has another topic than the one in the data."""
     data = tiny_mcap(CHUNKS).data()

@@ -183,7 +183,10 @@ HOSTILE = {
     "not UTF-8": b"\xff\xfe",
     **{
         name: json.dumps({"version": 1, "kind": "replay", "files": [name]}).encode()
-        for name in ("../mine", "/etc/passwd", "a/../../mine", "a//b", ".", "", "a/b/c/d", "a\0b", LOCK, MANIFEST)
+        for name in (
+            *("../mine", "/etc/passwd", "a/../../mine", "a//b", ".", "", "a/b/c/d", "a\0b", "\ud800"),
+            *(LOCK, MANIFEST),
+        )
     },
 }
 

@@ -222,6 +222,18 @@ def test_text_without_end_is_read_no_further(text):
         decode_pnm(b"P2 300 300 255\n" + text * 3_000_000, limits)
 
 
+def test_a_header_of_comments_takes_little_memory():
+    code = (
+        "import resource\n"
+        "from imgu_ros.files.pnm import decode_pnm\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "assert decode_pnm(b'P5\\n' + b'#\\n' * 10**6 + b'1 1' + b' #\\n' * 10**6 + b'255 \\7').tolist() == [[7]]\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert int(done.stdout) < 50_000  # kB
+
+
 def test_limits_are_passed_on(tmp_path):
     for name in ("a.png", "a.tif", "a.bmp", "a.pgm", "a.jpg"):
         Pillow.fromarray(np.zeros((1000, 1000), np.uint8)).save(tmp_path / name)
