@@ -106,6 +106,8 @@ class Undisturbed:
 
 def main() -> int:
     """Run it; return the exit code."""
+    # A shell starts what runs in the background with SIGINT ignored, and so would be those that are started here.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
