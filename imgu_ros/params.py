@@ -394,7 +394,8 @@ class LimitsParameters:
     )
     expansion: int = parameter(
         1000,
-        "Bytes that a compressed byte may become, beyond the first 1000 MB of a file (chunks and messages: 2000 MB).",
+        "Bytes that a compressed byte may become, beyond the first 1000 MB of a file (chunks and messages: 2000 MB, "
+        "and 100,000 messages, of which each counts as 2000 bytes).",
         minimum=1,
         maximum=1_000_000,
     )

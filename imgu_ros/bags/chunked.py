@@ -66,6 +66,7 @@ class ChunkedStorage:
             warnings.add(f"{name}: {remark}")
         self._expansion = expansion or Expansion(limits)
         self._too_much = self._beyond_expansion()
+        self._most: dict[int, int] = {}
         is_promised = self._is_as_promised()
         is_damaged = index.is_doubtful or any(gap.end < file.size for gap in index.gaps)
         everything = is_damaged or (index.promise is not None and not is_promised)
@@ -206,7 +207,13 @@ class ChunkedStorage:
         except BagError as error:
             self._warn_of_chunk(stretch, str(error))
             return Contents(damage=str(error)), memoryview(b"")
-        contents = self._form.contents(data, self._limits)
+        # Of a chunk that is read again, as many as the first time.
+        most = self._most.get(stretch.offset, self._expansion.most_messages(stretch.data_size))
+        contents = self._form.contents(data, self._limits, most)
+        if stretch.offset not in self._most:
+            count = len(contents.times)
+            if self._expansion.take_messages(stretch.data_size, count):
+                self._most[stretch.offset] = count
         is_right = not stretch.crc or zlib.crc32(data) == stretch.crc
         if contents.damage:
             self._warn_of_chunk(stretch, contents.damage)

@@ -124,6 +124,10 @@ class Contents:
     size: int = 0
     foreign_at: int = -1
 
+    def end_with(self, most: int) -> None:
+        """Note that reading broke off because there are more messages than `most`."""
+        self.damage = f"more than {most} messages of so few bytes; need longer ones, or fewer (limits.expansion)"
+
     def note_foreign(self, at: int) -> None:
         """Note a record that does not belong into a chunk: its sizes may be wrong, so that others are in it."""
         if self.foreign_at < 0:
@@ -226,12 +230,12 @@ class ChunkFormat:
     Attributes
     ----------
     index : walks over a file
-    contents : parses the decompressed data of a chunk, whatever they are
+    contents : parses the decompressed data of a chunk, whatever they are, up to a number of messages
     search : finds chunks
     """
 
     index: Callable[[ByteFile, LimitsParameters], list[ChunkIndex]]
-    contents: Callable[[memoryview, LimitsParameters], Contents]
+    contents: Callable[[memoryview, LimitsParameters, int], Contents]
     search: Search
 
 

@@ -33,6 +33,9 @@ _ZSTD_OPTIONS: dict[int, int] = {zstd.DecompressionParameter.window_log_max: 27}
 #: Bytes that may come of any few, of a file on the disk and of chunks or messages one by one: black pictures become
 #: less than a thousandth.
 _FREE_ON_DISK, _FREE_IN_PASSING = 1_000_000_000, 2_000_000_000
+#: Messages that may come of any few bytes, and bytes that each message counts as beyond them: what is behind its stamps
+#: may be the same in all, but stamps alone take more than two bytes when they are compressed.
+_FREE_MESSAGES, _BYTES_A_MESSAGE = 100_000, 2000
 #: Of the disk that temporary copies are on, this stays free; of a small one, a tenth.
 _RESERVE = 500_000_000
 _CHECK_DISK_EVERY = 64_000_000
@@ -46,6 +49,7 @@ class Expansion:
     def __init__(self, limits: LimitsParameters) -> None:
         self._factor = limits.expansion
         self._left = _FREE_IN_PASSING
+        self._messages_left = _FREE_MESSAGES
 
     def take(self, packed: int, size: int) -> None:
         """Count `size` bytes that come of `packed` ones; BagError, and they do not count, when they are too many."""
@@ -55,6 +59,16 @@ class Expansion:
                 f"{packed} bytes become {size}; need at most {self._factor} times as many (limits.expansion)"
             )
         self._left -= max(0, excess)
+
+    def most_messages(self, packed: int) -> int:
+        """Return how many messages a chunk of `packed` bytes may hold."""
+        return self._messages_left + self._factor * packed // _BYTES_A_MESSAGE
+
+    def take_messages(self, packed: int, count: int) -> int:
+        """Count messages that come of `packed` bytes; return how many of them are more than the bytes account for."""
+        excess = max(0, count - self._factor * packed // _BYTES_A_MESSAGE)
+        self._messages_left = max(0, self._messages_left - excess)
+        return excess
 
     def spare(self, packed: int) -> int:
         """Return how many bytes that it does not announce a chunk of `packed` ones may become."""

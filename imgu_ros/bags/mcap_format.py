@@ -159,12 +159,12 @@ def statistics(content: bytes, listed_chunks: int) -> Promise:
     return Promise("statistics", messages, chunks, listed_chunks, counts, start_ns, end_ns)
 
 
-def mcap_contents(data: memoryview, limits: LimitsParameters) -> Contents:
-    """Parse the records of a chunk's data, until one does not hold or does not belong into a chunk."""
+def mcap_contents(data: memoryview, limits: LimitsParameters, most: int) -> Contents:
+    """Parse the records of a chunk's data, until one does not hold, or there are more than `most` messages."""
     found = Contents()
     add_channel, add_time = found.channels.append, found.times.append
     add_begin, add_end = found.begins.append, found.ends.append
-    at, size = 0, len(data)
+    at, size, left = 0, len(data), most
     message_from, message_bytes = _MESSAGE.unpack_from, _MESSAGE.size
     while at < size:
         if size - at >= message_bytes:
@@ -181,6 +181,10 @@ def mcap_contents(data: memoryview, limits: LimitsParameters) -> Contents:
             break
         if opcode == Opcode.MESSAGE:
             if length >= _MESSAGE_BYTES:
+                if not left:
+                    found.end_with(most)
+                    break
+                left -= 1
                 add_channel(channel_id)
                 add_time(time_ns if time_ns <= MAX_TIME_NS else MAX_TIME_NS)
                 add_begin(at + message_bytes)

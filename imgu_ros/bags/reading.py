@@ -204,11 +204,14 @@ class Bag:
 
     def _warn_of_message(self, raw: RawMessage, error: BagError) -> None:
         channel: Channel = raw.channel
+        kind = f"{channel.topic}: damaged messages"
+        if self._warnings.is_full(kind):
+            return
         reason = self._decoder.type_error(channel)
         if reason:
             self._warnings.add(f"{channel.topic}: its messages cannot be read: {reason}")
         else:
             self._warnings.add(
                 f"{channel.topic}: the message at {seconds(raw.time_ns)} is damaged and skipped: {error}",
-                kind=f"{channel.topic}: damaged messages",
+                kind=kind,
             )

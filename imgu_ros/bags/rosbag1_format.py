@@ -69,8 +69,8 @@ class RecordHeader:
         return (value & 0xFFFFFFFF) * 10**9 + (value >> 32)
 
 
-def rosbag1_contents(data: memoryview, limits: LimitsParameters) -> Contents:
-    """Parse the records of a chunk's data, until one does not hold or does not belong into a chunk."""
+def rosbag1_contents(data: memoryview, limits: LimitsParameters, most: int) -> Contents:
+    """Parse the records of a chunk's data, until one does not hold, or there are more than `most` messages."""
     found = Contents()
     at = 0
     while at < len(data):
@@ -87,6 +87,9 @@ def rosbag1_contents(data: memoryview, limits: LimitsParameters) -> Contents:
         with suppress(BagError):  # a record without what its type needs costs itself alone
             opcode = header.opcode
             if opcode == Opcode.MESSAGE:
+                if len(found.times) >= most:
+                    found.end_with(most)
+                    break
                 found.add(header.number("conn"), header.time_ns(), start, end)
             elif opcode == Opcode.CONNECTION:
                 define(found.definitions, header, data[start:end], limits)

@@ -84,6 +84,10 @@ class Warnings:
         if len(texts) < _MAX_COUNTED:
             texts.add(text)
 
+    def is_full(self, kind: str) -> bool:
+        """Whether no more texts of a kind are counted: to make another is of no use."""
+        return len(self._kinds.get(shown(kind), ())) >= _MAX_COUNTED
+
     def listed(self) -> tuple[str, ...]:
         """Return one line for each kind."""
         return tuple(self._line(text, len(self._kinds[key]) - 1) for key, text in self._first.items())

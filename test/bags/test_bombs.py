@@ -183,3 +183,50 @@ def test_a_text_that_comes_again_takes_no_room():
     for i in (1, 2, 3):
         files[0].define(SchemaRecord(i, "a/msg/C", "ros2msg", texts[1] if i == 2 else texts[2] * 4))
     assert files[0].schemas.keys() == {1, 2}
+
+
+@pytest.mark.parametrize("method", ["zstd", "lz4"])
+def test_a_few_bytes_that_become_endlessly_many_messages(tmp_path, mcap_parts, method):
+    """Three hundred bytes become 200,000 messages: not all are read, which is said, and no others are lost."""
+    p = mcap_parts
+    definitions = p.schema(1, "std_msgs/msg/String", "string data") + p.channel(1, 1, "/text")
+
+    def chunk(records):
+        packed = COMPRESS[method](records)
+        content = struct.pack("<QQQI", 5, 5, len(records), 0) + p.text(method) + struct.pack("<Q", len(packed)) + packed
+        return p.record(6, content)
+
+    def message(number, text):
+        return p.record(5, struct.pack("<HIQQ", 1, 0, number, number) + p.string_cdr(text))
+
+    one = p.record(5, struct.pack("<HIQQ", 1, 0, 7, 7) + p.string_cdr("again"))
+    good = b"".join(message(9 + i, "good") for i in range(3))
+    data = p.magic + p.record(1, p.text("") * 2) + definitions + chunk(200_000 * one) + chunk(good)
+    (tmp_path / "x.mcap").write_bytes(data + p.record(2, bytes(20)) + p.magic)
+    with open_bag([tmp_path / "x.mcap"]) as bag:
+        for _ in range(2):  # the second pass gives the same
+            texts = [message.message.data for message in bag.messages()]
+            assert texts[-3:] == ["good"] * 3
+            assert 100_000 <= len(texts) - 3 < 150_000
+        assert "limits.expansion" in " ".join(bag.warnings)
+
+
+def test_many_small_messages_with_stamps_of_their_own_are_all_read(tmp_path, mcap_parts):
+    """The near side: a clock, whose messages compress as well as messages can that have been recorded."""
+    p, count = mcap_parts, 150_000
+    records = bytearray()
+    for i in range(count):
+        stamp = 10**18 + i * 1_000_000 + i * 7919 % 1000
+        content = (
+            struct.pack("<HIQQ", 1, i, stamp, stamp) + b"\0\1\0\0" + struct.pack("<iI", i // 1000, i % 1000 * 10**6)
+        )
+        records += p.record(5, content)
+    packed = zstd.compress(bytes(records))
+    head = struct.pack("<QQQI", 10**18, 10**18 + count * 10**6, len(records), 0) + p.text("zstd")
+    definitions = p.schema(1, "builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec") + p.channel(1, 1, "/clock")
+    data = p.magic + p.record(1, p.text("") * 2) + definitions
+    data += p.record(6, head + struct.pack("<Q", len(packed)) + packed)
+    (tmp_path / "x.mcap").write_bytes(data + p.record(2, bytes(20)) + p.magic)
+    with open_bag([tmp_path / "x.mcap"]) as bag:
+        assert sum(1 for _ in bag.raw_messages()) == count
+        assert bag.warnings == ()
