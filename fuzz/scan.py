@@ -69,7 +69,8 @@ def _files(folder: Path) -> list[Path]:
         if not isinstance(names, list):  # it says the same twice
             names = [entry["path"] for entry in information["files"]]
         storage = {"mcap": ".mcap", "sqlite3": ".db3"}.get(str(information.get("storage_identifier")), "")
-        named = [folder / str(name) for name in dict.fromkeys(names) if (folder / str(name)) in present]
+        named = [folder / name for name in names if isinstance(name, str)]
+        named = [file for file in dict.fromkeys(named) if file in present]
         present = [path for path in present if storage in path.suffixes] or present
     except Exception:
         named = []
