@@ -123,13 +123,15 @@ class Soak:
         from geometry_msgs.msg import PoseWithCovarianceStamped
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
+        from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
         from imgu_ros.ros.messages import make_message
         from imgu_ros.ros.qos import camera_info_qos, image_qos, output_qos
 
         self._arguments, self._pid, self._log = arguments, pid, log
-        rclpy.init(args=[])
+        # Its own handlers would end the context, and this program without its children.
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = node = Node("feeder", start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
