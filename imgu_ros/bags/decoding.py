@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Texts of one message that may be something else than UTF-8; more of them are garbage.
 _MOST_PATCHES = 20
+#: Types whose fields are read by name.
+_READ = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo")
 
 
 class MessageDecoder:
@@ -141,6 +143,8 @@ def _reader_of(channel: Channel, limits: LimitsParameters) -> MessageReader:
         if types is not None:
             reader = MessageReader(types, limits)
             is_cdr = channel.serialization == Serialization.CDR
+            if is_cdr and channel.type_name in _READ:
+                _require_fields(types, channel.type_name)
             # Generates the code, which may be refused too.
             getattr(reader.get_msgdef(channel.type_name), "deserialize_cdr_le" if is_cdr else "deserialize_ros1")
             return reader
@@ -150,6 +154,25 @@ def _reader_of(channel: Channel, limits: LimitsParameters) -> MessageReader:
     if channel.type_name in usual.fielddefs:
         return MessageReader(usual, limits)
     raise BagError(f"type {channel.type_name or 'unknown'}: {reason}")
+
+
+def _require_fields(types: Typestore, type_name: str) -> None:
+    """Raise BagError unless a definition has all fields, of the same kind, that ROS 2 gives to a type of this name."""
+    defined = dict(types.fielddefs[type_name][1])
+    for name, kind in typestore().fielddefs[type_name][1]:
+        if name not in defined or _kind(defined[name]) != _kind(kind):
+            raise BagError(f"{type_name}: no field {name!r} as in ROS 2")
+        node, detail = kind
+        if node == Nodetype.NAME:
+            _require_fields(types, str(detail))
+
+
+def _kind(field: Any) -> tuple[Any, ...]:
+    """Return whether a field is a message and which, a text, or a number, and whether it is a list of them."""
+    node, detail = field
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return ("list", *_kind(detail[0]))
+    return (node, detail if node == Nodetype.NAME else detail[0] == "string")
 
 
 @cache

@@ -168,3 +168,25 @@ def test_idl_as_ros_writes_it():
 )
 def test_idl_that_takes_for_ever(fault):
     refused(IDL.replace("struct B", f"{fault} struct B"), form="ros2idl")
+
+
+@pytest.mark.parametrize("wrong", ["std_msgs/Header hder\nuint32 height", "std_msgs/Header header\nstring height"])
+def test_a_definition_of_an_image_that_is_none_does_not_count(wrong):
+    """Its bytes are an image's all the same; read by the damaged definition, it would lack what every image has."""
+    from imgu_ros.bags.decoding import MessageDecoder
+    from imgu_ros.bags.messages import make_message, typestore
+    from imgu_ros.bags.storage import Channel, RawMessage
+
+    schema = wrong + (
+        "\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n"
+        f"{'=' * 80}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+    header = make_message(
+        "std_msgs/msg/Header", stamp=make_message("builtin_interfaces/msg/Time", sec=7), frame_id="camera"
+    )
+    image = make_message("sensor_msgs/msg/Image", header=header, height=3, width=4, encoding="mono8")
+    data = bytes(typestore().serialize_cdr(image, "sensor_msgs/msg/Image"))
+    channel = Channel("/image", "sensor_msgs/msg/Image", "cdr", "ros2msg", schema)
+    read = MessageDecoder().decoded(RawMessage(channel, 0, data))
+    assert (read.header.frame_id, read.height, read.width) == ("camera", 3, 4)
