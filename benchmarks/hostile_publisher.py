@@ -39,6 +39,8 @@ _SHARES = {
     "another node's topic": 1,
 }  # fmt: skip
 _BURST = 30
+#: Largest images that come first, one behind the other: every slot of the node's queue has grown to their size then.
+_FIRST_LARGE = 40
 
 
 def main() -> int:
@@ -57,6 +59,9 @@ def main() -> int:
     signal.signal(signal.SIGINT, end)
     sender = _Sender(random.Random(arguments.seed), arguments.frame_id, arguments.transport)
     sent: Counter[str] = Counter()
+    for _ in range(_FIRST_LARGE):
+        sent[sender.send("large image")] += 1
+        time.sleep(0.05)
     due_s = time.monotonic()
     while not ends:
         kind = sender.send()
@@ -110,9 +115,9 @@ class _Sender:
             "another node's topic": lambda: self._clock.publish(rng.randbytes(rng.choice((0, 3, 12, 500)))),
         }
 
-    def send(self) -> str:
-        """Send something; return its kind."""
-        kind = self._rng.choices(list(_SHARES), weights=list(_SHARES.values()))[0]
+    def send(self, kind: str = "") -> str:
+        """Send a message of a kind, by default a random one; return the kind."""
+        kind = kind or self._rng.choices(list(_SHARES), weights=list(_SHARES.values()))[0]
         try:
             self._kinds[kind]()
         except RuntimeError:  # rcl itself refuses to send it
