@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from imgu_ros.files.images import read_image
+from imgu_ros.image_files.images import read_image
 from imgu_ros.simulate.chessboard import random_chessboard_view
 from imgu_ros.vision.camera.calibration import calibrate
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard

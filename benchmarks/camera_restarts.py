@@ -26,7 +26,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from imgu_ros.files.images import write_image
+from imgu_ros.image_files.images import write_image
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
@@ -112,9 +112,9 @@ def be_camera(number: int) -> None:
     """Publish at 30 Hz until killed; print when the first image went out."""
     import rclpy
 
-    from imgu_ros.codec.camera_info import camera_info_message
-    from imgu_ros.codec.header import Header
-    from imgu_ros.codec.image import image_message
+    from imgu_ros.messages.camera_info import camera_info_message
+    from imgu_ros.messages.header import Header
+    from imgu_ros.messages.image import image_message
     from imgu_ros.ros.messages import make_message, message_class
     from imgu_ros.ros.qos import image_qos
 

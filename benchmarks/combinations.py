@@ -27,11 +27,11 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # read when numpy is imported
 import cv2
 import numpy as np
 
+from imgu_ros.config.parameters import declaration
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import declaration
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.targets import Target, TargetImage, prepare_targets
+from imgu_ros.localizer import Localizer
+from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 
@@ -112,7 +112,7 @@ class Scene:
 
     frames: tuple[SimulatedFrame, ...]
     picture: tuple[TargetImage, ...]
-    default: Chain
+    default: Localizer
 
     @property
     def size(self) -> tuple[int, int]:
@@ -127,14 +127,16 @@ def make_scene(size: tuple[int, int], count: int) -> Scene:
     simulation = Simulation(width=size[0], height=size[1], frames=count, seed=SEED)
     parameters = parameters_from(BASE)
     return Scene(
-        tuple(simulate_sequence(simulation, picture)), picture, Chain(parameters, prepare_targets(picture, parameters))
+        tuple(simulate_sequence(simulation, picture)),
+        picture,
+        Localizer(parameters, prepare_targets(picture, parameters)),
     )
 
 
 def measured(scene: Scene, values: dict[str, object], targets: tuple[Target, ...]) -> Figures:
     """Search every frame for the target, with and without alignment."""
-    aligned = Chain(parameters_from({**BASE, **values}), targets)
-    plain = Chain(parameters_from({**BASE, **values, "refinement.enabled": False}), targets)
+    aligned = Localizer(parameters_from({**BASE, **values}), targets)
+    plain = Localizer(parameters_from({**BASE, **values, "refinement.enabled": False}), targets)
     found, ms, ratios = [], [], []
     errors: tuple[list[float], list[float]] = ([], [])
     for simulated in scene.frames:
@@ -152,7 +154,7 @@ def measured(scene: Scene, values: dict[str, object], targets: tuple[Target, ...
     return Figures(values, size, len(found), sum(found), *errors, float(np.median(ms)), float(np.median(ratios)))
 
 
-def _cpu_ms(chain: Chain, simulated: SimulatedFrame) -> float:
+def _cpu_ms(chain: Localizer, simulated: SimulatedFrame) -> float:
     start = time.process_time_ns()
     chain.process(simulated.frame)
     return (time.process_time_ns() - start) / 1e6

@@ -25,12 +25,12 @@ import numpy as np
 
 from imgu_ros.bench.machine import this_machine
 from imgu_ros.cli.options import add_parameter_options, parameters_of
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import PoseStatus
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
+from imgu_ros.frame import Frame
+from imgu_ros.localizer import Localizer
+from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.result import PoseStatus
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import arrange_scene
@@ -86,7 +86,7 @@ class Setting:
 
     camera: Camera
     renderers: list[Renderer]
-    chains: list[Chain]
+    chains: list[Localizer]
     seed: int
     tracking: bool
 
@@ -176,7 +176,7 @@ def setting_of(arguments: argparse.Namespace, parameters: Parameters) -> Setting
     return Setting(
         camera,
         [Renderer(arrange_scene([t]), camera, _LAYOUT) for t in targets],
-        [Chain(parameters, prepare_targets([t], parameters)) for t in targets],
+        [Localizer(parameters, prepare_targets([t], parameters)) for t in targets],
         arguments.seed,
         tracking,
     )

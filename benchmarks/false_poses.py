@@ -22,9 +22,9 @@ import cv2
 
 from imgu_ros.bench.machine import this_machine
 from imgu_ros.cli.options import add_parameter_options, parameters_of
-from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.localizer import Localizer
+from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.types import Image
@@ -84,7 +84,7 @@ def main() -> None:
 
 def counted(known: Known, size: tuple[int, int], count: int, seed: int, parameters: Parameters) -> Counts:
     """Work on `count` frames that do not show the target."""
-    chain = Chain(parameters, prepare_targets([known.target], parameters))
+    chain = Localizer(parameters, prepare_targets([known.target], parameters))
     chain.prepare()
     false_at: list[int] = []
     took = 0.0

@@ -14,10 +14,10 @@ import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, BagFormat, record_simulation
-from imgu_ros.bags.replay import replay
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_values import parameters_from
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.values import parameters_from
+from imgu_ros.replay.recording import PARAMETER_FILE, TRUTH_FILE, BagFormat, record_simulation
+from imgu_ros.replay.replay import replay
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.vision.formation.sensor import Sensor
 

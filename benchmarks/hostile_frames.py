@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hostile_messages import Liar
 
-from imgu_ros.files.images import write_image
+from imgu_ros.image_files.images import write_image
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
 _FRAME_IDS = ("camera", "", "/a b", "x" * 1000, "ü")
@@ -146,8 +146,8 @@ class Trial:
 
     def _good_frame(self) -> float | None:
         """Send a good frame until its pose comes; return how long that took, None when none came."""
-        from imgu_ros.codec.camera_info import camera_info_message
-        from imgu_ros.codec.header import Header
+        from imgu_ros.messages.camera_info import camera_info_message
+        from imgu_ros.messages.header import Header
         from imgu_ros.ros.messages import make_message
 
         camera = self._good.camera
@@ -164,9 +164,9 @@ class Trial:
 
     def _good_image(self, header: Any) -> Any:
         """Return the good frame's image with a header, ours or a message's."""
-        from imgu_ros.codec.compressed_image import compressed_image_message
-        from imgu_ros.codec.header import Header
-        from imgu_ros.codec.image import image_message
+        from imgu_ros.messages.compressed_image import compressed_image_message
+        from imgu_ros.messages.header import Header
+        from imgu_ros.messages.image import image_message
         from imgu_ros.ros.messages import make_message
 
         pixels, ours = self._good.image.pixels, header if isinstance(header, Header) else Header(0, "camera")

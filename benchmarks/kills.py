@@ -38,12 +38,12 @@ from rosbags.rosbag2 import Reader
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from imgu_ros.bags.compression import zstd
-from imgu_ros.bags.output_folder import check_output_folder
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.recording import _contents
-from imgu_ros.bags.result_files import replay_contents
 from imgu_ros.errors import ImguError
-from imgu_ros.files.text_files import write_text
+from imgu_ros.file_access.text_files import write_text
+from imgu_ros.replay.output_folder import check_output_folder
+from imgu_ros.replay.recording import _contents
+from imgu_ros.replay.result_files import replay_contents
 from imgu_ros.simulate.sequence import default_targets
 
 KINDS = ("SIGKILL", "SIGKILL to all", "SIGTERM", "SIGTERM to all", "SIGINT", "full disk", "folder removed",
@@ -68,7 +68,7 @@ import sys
 from imgu_ros.cli import main
 run = main._run
 def with_frames(arguments):
-    from imgu_ros.bags import result_sink
+    from imgu_ros.replay import result_sink
     result_sink._WORTH_A_PROCESS = {}
     return run(arguments)
 main._run = with_frames

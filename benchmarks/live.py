@@ -28,10 +28,10 @@ import numpy as np
 
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.writing import BagWriter
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.codec.image import image_message
-from imgu_ros.files.images import write_image
+from imgu_ros.image_files.images import write_image
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.messages.image import image_message
 from imgu_ros.ros.middleware import PROFILE_VARIABLE, profile_path
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from live import IMAGE_TOPIC, INFO_TOPIC, cpu_s, write_bag
 
-from imgu_ros.codec.header import decode_header
+from imgu_ros.messages.header import decode_header
 from imgu_ros.ros.middleware import PROFILE_VARIABLE, profile_path
 
 _START_S = 4.0

@@ -23,9 +23,9 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 
 from imgu_ros.bench.recipes import Features, Recipe
-from imgu_ros.codec.frame import decode_frame
+from imgu_ros.config.parameters import TargetsParameters
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.params import TargetsParameters
+from imgu_ros.messages.frame import decode_frame
 
 
 class OrbNode(Node):

@@ -28,10 +28,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from imgu_ros.config.parameters import Declaration, Parameters, ParameterValue, declarations
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
-from imgu_ros.files.images import write_image
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Declaration, Parameters, ParameterValue, declarations
+from imgu_ros.image_files.images import write_image
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
 _WRONG: dict[str, list[Any]] = {
@@ -234,9 +234,9 @@ def publish_frames(folder: Path, rate_hz: float, seconds: float) -> None:
     """Publish frames from when the node subscribes until it was long enough; print how many."""
     import rclpy
 
-    from imgu_ros.codec.camera_info import camera_info_message
-    from imgu_ros.codec.header import Header
-    from imgu_ros.codec.image import image_message
+    from imgu_ros.messages.camera_info import camera_info_message
+    from imgu_ros.messages.header import Header
+    from imgu_ros.messages.image import image_message
     from imgu_ros.ros.messages import make_message, message_class
     from imgu_ros.ros.qos import image_qos
 

@@ -39,12 +39,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from live import IMAGE_TOPIC, INFO_TOPIC
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.compressed_image import compressed_image_message
-from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.codec.image import image_message
-from imgu_ros.files.images import write_image
-from imgu_ros.perception.frame import Frame
+from imgu_ros.frame import Frame
+from imgu_ros.image_files.images import write_image
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.compressed_image import compressed_image_message
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.messages.image import image_message
 from imgu_ros.ros.middleware import PROFILE_VARIABLE, profile_path
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 

@@ -36,12 +36,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.features import decode_homographies
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import image_message
-from imgu_ros.files.images import write_image
-from imgu_ros.perception.frame import Frame
+from imgu_ros.frame import Frame
+from imgu_ros.image_files.images import write_image
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.features import decode_homographies
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import image_message
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.middleware import PROFILE_VARIABLE, profile_path
 from imgu_ros.ros.qos import image_qos, output_qos

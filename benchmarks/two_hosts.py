@@ -180,7 +180,7 @@ def _run(
 
 
 def _simulated(arguments: argparse.Namespace, folder: Path) -> tuple[list[Any], Path]:
-    from imgu_ros.files.images import write_image
+    from imgu_ros.image_files.images import write_image
     from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
     width, height = map(int, arguments.size.split("x"))
@@ -195,9 +195,9 @@ def _send(frames: list[Any], rate_hz: float) -> tuple[dict[int, float], float, f
     import rclpy
     from rclpy.node import Node
 
-    from imgu_ros.codec.camera_info import camera_info_message
-    from imgu_ros.codec.header import Header
-    from imgu_ros.codec.image import image_message
+    from imgu_ros.messages.camera_info import camera_info_message
+    from imgu_ros.messages.header import Header
+    from imgu_ros.messages.image import image_message
     from imgu_ros.ros.messages import make_message, message_class
     from imgu_ros.ros.qos import image_qos
 
@@ -245,7 +245,7 @@ def _listen(path: Path) -> int:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
 
-    from imgu_ros.codec.header import decode_header
+    from imgu_ros.messages.header import decode_header
     from imgu_ros.ros.messages import message_class
     from imgu_ros.ros.qos import output_qos
 

@@ -22,14 +22,14 @@ from fuzz.kinds import CAMERA, PARAMETERS, PICTURE, RECORDING
 from fuzz.messages import recorded
 from fuzz.scan import Identity, Messages, identity, scanned, unpacked_identity
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.replay import replay
-from imgu_ros.codec.compressed_image import decode_compressed_image
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Parameters, TargetsParameters
 from imgu_ros.errors import ImguError
 from imgu_ros.files.camera_info_file import read_camera_info, read_description
-from imgu_ros.files.images import read_image_file
-from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.params import Parameters, TargetsParameters
+from imgu_ros.image_files.images import read_image_file
+from imgu_ros.messages.compressed_image import decode_compressed_image
+from imgu_ros.replay.replay import replay
 from imgu_ros.shown_text import shown
 
 #: Characters that a terminal acts upon; a line of a message is one line.

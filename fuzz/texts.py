@@ -160,7 +160,7 @@ def camera_seeds() -> tuple[bytes, ...]:
 @cache
 def parameter_seeds() -> tuple[bytes, ...]:
     """Return parameter files: one by hand, and one with every parameter."""
-    from imgu_ros.files.parameter_files import parameter_file_text
+    from imgu_ros.config.files import parameter_file_text
 
     return (_PARAMETERS, parameter_file_text().encode())
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from imgu_ros.cli.main import main
-from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS
+from imgu_ros.messages.results import FRAME_OUTPUTS, TARGET_OUTPUTS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -50,7 +50,7 @@ def test_every_output_topic_is_documented(repository: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_parameters_named_in_prose_exist(repository: Path, page: str) -> None:
-    from imgu_ros.params import declarations
+    from imgu_ros.config.parameters import declarations
 
     known = {d.name for d in declarations()}
     groups = {name.split(".")[0] for name in known if "." in name}

@@ -28,8 +28,8 @@ import cv2
 import numpy as np
 import pytest
 
-from imgu_ros.files.parameter_files import GivenParameters
-from imgu_ros.files.rcl_parameters import RclParameters
+from imgu_ros.config.files import GivenParameters
+from imgu_ros.config.rcl_parameters import RclParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 LAUNCH = REPOSITORY / "launch"

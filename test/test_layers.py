@@ -17,7 +17,7 @@ PACKAGE = REPOSITORY / "imgu_ros"
 
 MOST_LINES = 330
 #: As long as the list of parameters is.
-LONG_LISTS = {"params"}
+LONG_LISTS = {"config.parameters"}
 CATCH_ALL_NAMES = {"util", "utils", "helper", "helpers", "misc", "common", "tools"}
 
 MESSAGE_PACKAGES = {
@@ -26,7 +26,7 @@ MESSAGE_PACKAGES = {
 }  # fmt: skip
 #: Modules of a ROS installation: under ros/ alone.
 ROS_MODULES = {"rclpy", "rosidl_runtime_py", "rosidl_parser", "ament_index_python", "tf2_ros", "rpyutils"}
-#: Fields that exist in messages and nowhere else: touched in codec/ alone.
+#: Fields that exist in messages and nowhere else: touched in messages/ alone.
 MESSAGE_FIELDS = {"nanosec", "is_bigendian", "distortion_model", "point_step", "row_step", "is_dense"}
 
 #: Files, clocks, processes and the network: not the business of an algorithm.
@@ -36,81 +36,25 @@ NOT_FOR_VISION = {
 }  # fmt: skip
 NUMERIC = {"numpy", "scipy", "cv2"}
 
-#: What the lower layers may import of the package itself; whoever is not listed may import all but ros/ and cli/.
-LAYERS = {
-    "shown_text": set[str](),
-    "errors": {"shown_text"},
-    "nearest_name": set[str](),
-    "arguments": {"errors"},
-    "types": {"errors", "arguments"},
-    "params": {"errors", "arguments", "types", "nearest_name"},
-    "parameter_checks": {"errors", "arguments", "types", "params"},
-    "parameter_values": {"errors", "arguments", "types", "params", "parameter_checks", "nearest_name"},
-    "vision": {"errors", "arguments", "types", "vision"},
-    "perception": {"errors", "arguments", "types", "params", "parameter_checks", "vision", "perception"},
-    "codec": {
-        "shown_text",
-        "errors",
-        "arguments",
-        "types",
-        "params",
-        "nearest_name",
-        "vision",
-        "perception",
-        "codec",
-    },
-    "files": {
-        "shown_text",
-        "errors",
-        "arguments",
-        "types",
-        "params",
-        "parameter_values",
-        "nearest_name",
-        "vision",
-        "perception",
-        "codec",
-        "files",
-    },
-    "simulate": {
-        "shown_text",
-        "errors",
-        "arguments",
-        "types",
-        "params",
-        "nearest_name",
-        "vision",
-        "perception",
-        "files",
-        "simulate",
-    },
-    "report": {
-        "shown_text",
-        "errors",
-        "arguments",
-        "types",
-        "params",
-        "vision",
-        "perception",
-        "files",
-        "simulate",
-        "report",
-    },
-}
+#: The rooms, from the bottom up: a module imports from its own room and from those before it.
+ORDER = (
+    "shown_text", "errors", "nearest_name", "arguments", "types", "file_access", "config", "vision", "frame", "image",
+    "result", "stage_clock", "reasons", "build_cache", "reference", "pose", "track", "detect", "localizer",
+    "localizer_builder", "remarks", "stop_signals", "threads", "image_files", "messages", "files", "simulate", "report",
+    "bags", "replay", "bench", "ros", "cli",
+)  # fmt: skip
+#: From a frame to a result: knows no message, no file and no recording.
+PIPELINE = {
+    "frame", "image", "result", "stage_clock", "reasons", "build_cache", "reference", "pose", "track", "detect",
+    "localizer", "localizer_builder",
+}  # fmt: skip
 
-#: What a layer may import from outside the standard library, where that is limited.
+#: What a room may import from outside the standard library, where that is limited.
 THIRD_PARTY = {
-    "shown_text": set[str](),
-    "errors": set[str](),
-    "nearest_name": set[str](),
-    "arguments": {"numpy"},
-    "types": {"numpy"},
-    "params": set[str](),
-    "parameter_checks": set[str](),
-    "parameter_values": set[str](),
-    "vision": NUMERIC,
-    "perception": NUMERIC,
-    "codec": NUMERIC,
+    **{key: set[str]() for key in ("shown_text", "errors", "nearest_name")},
+    **{key: {"numpy"} for key in ("arguments", "types")},
+    **dict.fromkeys(("vision", "messages", *PIPELINE), NUMERIC),
+    "config": {"yaml"},
 }
 
 
@@ -157,17 +101,19 @@ def wrong_imports(source: Source) -> Iterator[str]:
     for name in imported_names(source):
         root, _, rest = name.partition(".")
         if root == "imgu_ros":
-            layer = rest.partition(".")[0]
-            allowed = LAYERS.get(source.layer)
-            if allowed is not None and layer not in allowed:
-                need = ", ".join(sorted(allowed)) or "nothing"
-                yield f"{source.name} imports {name}: {source.layer} may import {need}"
-            elif (layer == "ros" and source.layer not in {"ros", "cli"}) or (layer == "cli" != source.layer):
+            room = rest.partition(".")[0]
+            if room and ORDER.index(room) > ORDER.index(source.layer):
+                yield f"{source.name} imports {name}: {room} is above {source.layer}"
+            elif source.layer == "vision" and room not in {"vision", "errors", "arguments", "types"}:
+                yield f"{source.name} imports {name}: vision/ knows arrays and nothing else"
+            elif source.layer in PIPELINE and room == "file_access":
+                yield f"{source.name} imports {name}: the pipeline knows no files"
+            elif room == "ros" and source.layer not in {"ros", "cli"}:
                 yield f"{source.name} imports {name}: only commands may"
         elif root in ROS_MODULES | MESSAGE_PACKAGES and source.layer != "ros":
             yield f"{source.name} imports {name}: only ros/ may"
-        elif root == "rosbags" and source.layer != "bags":
-            yield f"{source.name} imports {name}: only bags/ may"
+        elif root == "rosbags" and source.layer not in {"bags", "messages"}:
+            yield f"{source.name} imports {name}: only bags/ and messages/ may"
         elif root in sys.stdlib_module_names:
             if source.layer == "vision" and root in NOT_FOR_VISION:
                 yield f"{source.name} imports {name}: vision/ knows no files, clocks or processes"
@@ -177,15 +123,15 @@ def wrong_imports(source: Source) -> Iterator[str]:
 
 
 def wrong_fields(source: Source) -> Iterator[str]:
-    """Yield accesses to fields of messages outside codec/."""
-    if source.layer == "codec":
+    """Yield accesses to fields of messages outside messages/."""
+    if source.layer == "messages":
         return
     for node in ast.walk(ast.parse(source.text)):
         if not isinstance(node, ast.Attribute):
             continue
         nested = node.value.attr if isinstance(node.value, ast.Attribute) else ""
         if node.attr in MESSAGE_FIELDS or f"{nested}.{node.attr}" in {"stamp.sec", "header.stamp", "clock.sec"}:
-            yield f"{source.name}:{node.lineno} touches .{nested + '.' if nested else ''}{node.attr}: only codec/ may"
+            yield f"{source.name}:{node.lineno} touches .{nested + '.' if nested else ''}{node.attr}: only messages/"
 
 
 def undocumented(source: Source) -> Iterator[str]:
@@ -197,7 +143,9 @@ def undocumented(source: Source) -> Iterator[str]:
         if not isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) or node.name.startswith("_"):
             continue
         # A group of parameters is described by its fields.
-        if not ast.get_docstring(node) and not (source.name == "params" and node.name.endswith("Parameters")):
+        if not ast.get_docstring(node) and not (
+            source.name == "config.parameters" and node.name.endswith("Parameters")
+        ):
             yield f"{source.name}: {node.name} has no docstring"
 
 
@@ -231,30 +179,30 @@ def test_package_keeps_the_rule(rule: Callable[[Source], Iterator[str]]) -> None
         (wrong_imports, "vision.edges", "from datetime import datetime"),
         (wrong_imports, "vision.edges", "def f():\n    import rclpy"),
         (wrong_imports, "vision.edges", "import matplotlib.pyplot as plt"),
-        (wrong_imports, "vision.edges", "from imgu_ros.perception.frame import Frame"),
-        (wrong_imports, "vision.camera.pose", "from ...codec import frame"),
-        (wrong_imports, "vision.edges", "from imgu_ros import params"),
-        (wrong_imports, "perception.chain", "from imgu_ros.codec.frame import decode_frame"),
-        (wrong_imports, "perception.chain", "if TYPE_CHECKING:\n    from sensor_msgs.msg import Image"),
-        (wrong_imports, "perception.chain", "import yaml"),
-        (wrong_imports, "codec.image", "from sensor_msgs.msg import Image"),
-        (wrong_imports, "codec.image", "from rosbags.typesys import Stores"),
-        (wrong_imports, "codec.image", "import imgu_ros.bags.reading"),
+        (wrong_imports, "vision.edges", "from imgu_ros.frame import Frame"),
+        (wrong_imports, "vision.camera.pose", "from ...messages import frame"),
+        (wrong_imports, "vision.edges", "from imgu_ros.config import parameters"),
+        (wrong_imports, "localizer", "from imgu_ros.messages.frame import decode_frame"),
+        (wrong_imports, "localizer", "if TYPE_CHECKING:\n    from sensor_msgs.msg import Image"),
+        (wrong_imports, "localizer", "import yaml"),
+        (wrong_imports, "messages.image", "from sensor_msgs.msg import Image"),
+        (wrong_imports, "files.images", "from rosbags.typesys import Stores"),
+        (wrong_imports, "messages.image", "import imgu_ros.bags.reading"),
         (wrong_imports, "report.table", "from imgu_ros.bags.reading import open_bag"),
         (wrong_imports, "bags.reading", "from rclpy.serialization import deserialize_message"),
-        (wrong_imports, "bags.replay", "def f():\n    from imgu_ros.ros import messages"),
-        (wrong_imports, "bags.replay", "from imgu_ros.cli import main"),
+        (wrong_imports, "replay.replay", "def f():\n    from imgu_ros.ros import messages"),
+        (wrong_imports, "replay.replay", "from imgu_ros.cli import main"),
         (wrong_imports, "ros.player", "from rosbags.highlevel import AnyReader"),
         (wrong_imports, "cli.node", "import importlib\nimportlib.import_module('rclpy')"),
         (wrong_imports, "types", "import cv2"),
         (wrong_fields, "ros.node", "def f(m):\n    return m.header.stamp"),
-        (wrong_fields, "bags.replay", "def f(m):\n    return m.stamp.sec"),
-        (wrong_fields, "bags.replay", "def f(m):\n    m.is_bigendian = 1"),
+        (wrong_fields, "replay.replay", "def f(m):\n    return m.stamp.sec"),
+        (wrong_fields, "replay.replay", "def f(m):\n    m.is_bigendian = 1"),
         (undocumented, "files.images", "def read_image(path):\n    pass"),
         (undocumented, "files.images", '"""Module."""\nclass Reader:\n    x = 1'),
         (too_long, "files.images", "x = 1\n" * (MOST_LINES + 1)),
         (catch_all, "vision.utils", ""),
-        (catch_all, "codec.helpers.image", ""),
+        (catch_all, "messages.helpers.image", ""),
     ],
 )
 def test_rule_sees_the_violation(rule: Callable[[Source], Iterator[str]], name: str, text: str) -> None:
@@ -266,9 +214,9 @@ def test_rule_sees_the_violation(rule: Callable[[Source], Iterator[str]], name: 
     [
         ("vision.edges", "import math\nimport cv2\nfrom scipy import ndimage\nfrom imgu_ros.errors import ShapeError"),
         ("vision.camera.pose", "from .intrinsics import Camera\nfrom ...types import Points"),
-        ("perception.chain", "import time\nfrom imgu_ros.params import Parameters"),
-        ("codec.image", "def f(m):\n    return m.header.stamp.nanosec"),
-        ("bags.reading", "from rosbags.highlevel import AnyReader\nfrom imgu_ros.codec.frame import decode_frame"),
+        ("localizer", "import time\nfrom imgu_ros.config.parameters import Parameters"),
+        ("messages.image", "def f(m):\n    return m.header.stamp.nanosec"),
+        ("bags.reading", "from rosbags.highlevel import AnyReader\nfrom imgu_ros.messages.frame import decode_frame"),
         ("ros.node", "import rclpy\nfrom sensor_msgs.msg import Image\nfrom imgu_ros.bags.reading import open_bag"),
         ("cli.node", "def run(a):\n    from imgu_ros.ros.perception import main"),
     ],

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from imgu_ros.codec.results import FRAME_OUTPUTS, TARGET_OUTPUTS
+from imgu_ros.messages.results import FRAME_OUTPUTS, TARGET_OUTPUTS
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 TOPICS = {

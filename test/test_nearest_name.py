@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import pytest
 
-from imgu_ros.codec.encodings import encoding_named
+from imgu_ros.config.parameters import declaration
 from imgu_ros.errors import EncodingError, ParameterError
+from imgu_ros.messages.encodings import encoding_named
 from imgu_ros.nearest_name import nearest_name
-from imgu_ros.params import declaration
 
 KNOWN = ("mono8", "bayer_rggb8", "8UC1", "PLUMB_BOB")
 

@@ -18,7 +18,7 @@ import cv2
 import pytest
 
 from imgu_ros.cli.main import COMMANDS
-from imgu_ros.params import declaration, declarations
+from imgu_ros.config.parameters import declaration, declarations
 
 CHAPTERS = (
     "formation processing scale_space keypoints descriptors matching projective estimation camera".split()

@@ -12,9 +12,9 @@ import pytest
 
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.cli.main import main
+from imgu_ros.config.parameters import declarations
 from imgu_ros.errors import ImguError
 from imgu_ros.files.camera_info_file import read_camera_info
-from imgu_ros.params import declarations
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = REPOSITORY / "imgu_ros"
@@ -25,7 +25,7 @@ UNSAFE = re.compile(r"(Unsafe|Full)Loader|^(C?)Loader$")
 #: Modules that read objects of any kind.
 OBJECTS = {"pickle", "marshal", "shelve", "dill", "joblib"}
 #: The two ends of a pipe to a process of our own.
-PIPE = {"bags/result_process.py", "bags/result_writer.py"}
+PIPE = {"replay/result_process.py", "replay/result_writer.py"}
 NETWORK = re.compile(r"(socket|socketserver|http|urllib\.request|ftplib|smtplib|xmlrpc|requests|asyncio|ssl)(\..*)?")
 
 
@@ -64,8 +64,8 @@ def test_nothing_that_is_read_is_run() -> None:
 def test_nothing_connects_or_listens() -> None:
     found = {name: {each for each in imported(tree) if NETWORK.fullmatch(each)} for name, tree in sources()}
     # This machine's name, for the lock of a folder that several machines see.
-    assert {name: modules for name, modules in found.items() if modules} == {"bags/folder_lock.py": {"socket"}}
-    tree = dict(sources())["bags/folder_lock.py"]
+    assert {name: modules for name, modules in found.items() if modules} == {"replay/folder_lock.py": {"socket"}}
+    tree = dict(sources())["replay/folder_lock.py"]
     used = {
         node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "socket"
     }

@@ -22,8 +22,8 @@ from imgu_ros.bags.storage import (
     serialization_named,
 )
 from imgu_ros.bags.stretches import Stretch
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: Chunks that were sought in damaged ones may be this many times the file, and as many bytes more.
 _SEARCH_FACTOR, _SEARCH_BYTES = 4, 2**26

@@ -15,7 +15,7 @@ import numpy as np
 from imgu_ros.bags.byte_file import ByteFile
 from imgu_ros.bags.storage import MAX_TIME_NS
 from imgu_ros.bags.stretches import Stretch, StretchTable
-from imgu_ros.params import LimitsParameters
+from imgu_ros.config.parameters import LimitsParameters
 
 #: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
 _VIEWED_BYTES = 2**16

@@ -14,8 +14,8 @@ from typing import Any
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 if sys.version_info >= (3, 14):
     from compression import zstd

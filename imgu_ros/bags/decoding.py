@@ -16,8 +16,8 @@ from imgu_ros.bags.definitions import MessageReader, defined_types
 from imgu_ros.bags.messages import make_message, message_layout, typestore
 from imgu_ros.bags.storage import Channel, RawMessage, Serialization
 from imgu_ros.bags.text import ascii_patched
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

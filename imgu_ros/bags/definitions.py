@@ -23,8 +23,8 @@ from rosbags.typesys.store import Typestore
 
 from imgu_ros.bags.messages import typestore
 from imgu_ros.bags.storage import Channel
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Msgdef

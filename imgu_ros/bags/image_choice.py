@@ -9,10 +9,10 @@ from itertools import islice
 
 from imgu_ros.bags.reading import Bag, Topic
 from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image_topics
-from imgu_ros.codec.frame import decode_frame
-from imgu_ros.codec.image_source import described_encoding
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import EncodingError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
+from imgu_ros.messages.frame import decode_frame
+from imgu_ros.messages.image_source import described_encoding
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 
 

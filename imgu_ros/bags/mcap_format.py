@@ -14,8 +14,8 @@ from enum import IntEnum
 from imgu_ros.bags.chunks import ChannelRecord, Contents, Promise, SchemaRecord
 from imgu_ros.bags.storage import MAX_TIME_NS
 from imgu_ros.bags.text import text_of
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 MAGIC = b"\x89MCAP0\r\n"
 #: Opcode and length, before every record's content.

@@ -29,7 +29,7 @@ from imgu_ros.bags.mcap_format import (
     message_head,
     statistics,
 )
-from imgu_ros.bags.mcap_search import (
+from imgu_ros.bags.salvage.mcap_search import (
     LAST_KNOWN_OPCODE,
     candidates,
     chunk_at,
@@ -41,8 +41,8 @@ from imgu_ros.bags.mcap_search import (
     prefix,
 )
 from imgu_ros.bags.stretches import Stretch
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 #: Messages outside of chunks are read in stretches of about this size.
 _STRETCH_BYTES = 2**22

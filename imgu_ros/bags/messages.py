@@ -27,7 +27,7 @@ _DTYPES: dict[str, str] = {"bool": "bool", "byte": "uint8", "char": "uint8"}
 
 
 def make_message(type_name: str, /, **fields: object) -> Any:
-    """Return a message of `type_name` that rosbags can serialise; a `MessageFactory` (see `imgu_ros.codec.factory`).
+    """Return a message of `type_name` that rosbags can serialise; a `MessageFactory` (see `imgu_ros.messages.factory`).
 
     Parameters
     ----------

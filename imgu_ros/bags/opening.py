@@ -18,8 +18,8 @@ from imgu_ros.bags.rosbag1_index import ROSBAG1
 from imgu_ros.bags.rosbag2 import METADATA, recording
 from imgu_ros.bags.sqlite import SqliteStorage
 from imgu_ros.bags.storage import Storage, Warnings
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _FORMATS = {MCAP_MAGIC: MCAP, ROSBAG1_MAGIC: ROSBAG1}

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from imgu_ros.bags.image_choice import choose_image_topic
 from imgu_ros.bags.reading import Bag
-from imgu_ros.codec.frame import decode_frame
-from imgu_ros.codec.header import decode_header
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import EncodingError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
-from imgu_ros.perception.remarks import Remarks
+from imgu_ros.messages.frame import decode_frame
+from imgu_ros.messages.header import decode_header
+from imgu_ros.remarks import Remarks
 from imgu_ros.vision.formation.layout import RawImage
 
 

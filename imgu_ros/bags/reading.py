@@ -14,8 +14,8 @@ from imgu_ros.bags.compression import Expansion, decompressed_message
 from imgu_ros.bags.decoding import MessageDecoder
 from imgu_ros.bags.opening import NEED, Opening, require_different
 from imgu_ros.bags.storage import Channel, RawMessage, Storage, Warnings, merge_by_time, seconds
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from enum import IntEnum
 from imgu_ros.bags.chunks import ChannelRecord, Contents, Definitions, SchemaRecord
 from imgu_ros.bags.storage import Serialization
 from imgu_ros.bags.text import text_of
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 MAGIC = b"#ROSBAG V2.0\n"
 

@@ -26,8 +26,8 @@ from imgu_ros.bags.rosbag1_format import (
     rosbag1_contents,
 )
 from imgu_ros.bags.stretches import Stretch
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 _HEAD_BYTES = 2**8
 #: A search mostly ends soon.

@@ -13,10 +13,10 @@ import yaml
 
 from imgu_ros.bags.storage import MAX_TIME_NS, Storage, Warnings, seconds
 from imgu_ros.bags.text import text_of
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError, FileError
-from imgu_ros.files.reading import file_bytes
+from imgu_ros.file_access.bounded_reading import file_bytes
 from imgu_ros.files.yaml_tree import yaml_tree
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.shown_text import NAME_CHARACTERS, shown
 
 METADATA = "metadata.yaml"

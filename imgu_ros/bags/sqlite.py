@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
+from imgu_ros.bags.salvage.sqlite_pages import SqlitePages
 from imgu_ros.bags.sqlite_file import Column, SqliteFile
-from imgu_ros.bags.sqlite_pages import SqlitePages
 from imgu_ros.bags.storage import (
     MAX_TIME_NS,
     Channel,
@@ -23,8 +23,8 @@ from imgu_ros.bags.storage import (
     serialization_named,
 )
 from imgu_ros.bags.text import text_of
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: Rows of the tables `topics` and `message_definitions`, and their texts together, in `limits.text_mb`.
 _MOST_NAMED, _MOST_TEXT = 65_536, 16

@@ -24,8 +24,8 @@ from typing import Any
 from urllib.parse import quote
 
 from imgu_ros.bags.storage import Warnings
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
 
 #: Steps of SQLite's virtual machine: for the schema, of which a bag has a handful; for each byte of the file (a row has
 #: 10 bytes at least, of rosbag2 37, and takes less than 40 steps in all); and after how many they are counted.

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 
 from imgu_ros.bench.methods import ChainMethod, Method
 from imgu_ros.bench.recipes import Features, Recipe
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.reference.planar import TargetImage
 
 TRACKING, DETECTION, ORB, SIFT = "tracking", "detection", "ORB", "SIFT"
 #: What tables and plots call them.

@@ -98,7 +98,7 @@ def main() -> None:
     import numpy as np
 
     from imgu_ros.bench.lineup import make_method
-    from imgu_ros.perception.frame import Frame
+    from imgu_ros.frame import Frame
     from imgu_ros.simulate.conditions import PLAIN
     from imgu_ros.simulate.sequence import default_camera
     from imgu_ros.simulate.trials import Trial, known_targets

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from imgu_ros.bench.figures import Figures
 from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TITLES, TRACKING
 from imgu_ros.bench.suites import SEQUENCE, SINGLE
+from imgu_ros.file_access.atomic_files import write_whole
 from imgu_ros.files.plot_style import plot_style
-from imgu_ros.files.whole_files import write_whole
 from imgu_ros.simulate.conditions import PLAIN
 
 #: Okabe & Ito 2008.

@@ -14,9 +14,9 @@ from imgu_ros.bench.figures import Figures, figures
 from imgu_ros.bench.lineup import DETECTION, METHODS, ORB, SIFT, TRACKING, check_method, make_method
 from imgu_ros.bench.measuring import Show, measure, measure_in_turn
 from imgu_ros.bench.memory import PeakMemory, peak_memory, resident_mb
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.reference.planar import TargetImage
 from imgu_ros.simulate.conditions import CONDITIONS, PLAIN, Condition
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, simulate_sequence

@@ -30,9 +30,9 @@ from imgu_ros.cli.options import add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
-    from imgu_ros.bags.output_folder import RunFolder
     from imgu_ros.bench.machine import Machine, ProcessorUse
     from imgu_ros.bench.suites import Options, Row
+    from imgu_ros.replay.output_folder import RunFolder
     from imgu_ros.types import Image
 
 HELP = "measure this machine: ours beside the usual OpenCV chains, on the same frames"
@@ -123,7 +123,7 @@ def _options(arguments: argparse.Namespace) -> Options:
 def _photographs(folder: Path) -> tuple[Image, ...]:
     """Return the colour pictures of a folder, those of its folders too."""
     from imgu_ros.errors import FileError
-    from imgu_ros.files.images import read_image
+    from imgu_ros.image_files.images import read_image
 
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _PICTURES)
     pictures = [read_image(path) for path in paths]
@@ -139,7 +139,7 @@ def _output_folder(out: Path | None) -> Iterator[RunFolder | None]:
     if out is None:
         yield None
         return
-    from imgu_ros.bags.output_folder import Contents, output_folder
+    from imgu_ros.replay.output_folder import Contents, output_folder
 
     with output_folder(out, Contents("bench", (JSON, TABLE, PLOT), JSON), overwrite=True) as folder:
         yield folder
@@ -148,7 +148,7 @@ def _output_folder(out: Path | None) -> Iterator[RunFolder | None]:
 def _write_json(arguments: argparse.Namespace, machine: Machine, use: ProcessorUse | None, rows: list[Row]) -> None:
     from dataclasses import asdict
 
-    from imgu_ros.files.text_files import write_text
+    from imgu_ros.file_access.text_files import write_text
 
     kinds = {"Figures": "figures", "PeakMemory": "memory", "Growth": "growth"}
     document: dict[str, object] = {
@@ -169,7 +169,7 @@ def _write_rest(out: Path, where: str, rows: list[Row]) -> None:
     from imgu_ros.bench.figures import Figures
     from imgu_ros.bench.plots import write_plot
     from imgu_ros.bench.tables import tables
-    from imgu_ros.files.text_files import write_text
+    from imgu_ros.file_access.text_files import write_text
 
     write_text(out / TABLE, f"{where}\n\n{tables(rows, markdown=True)}\n")
     write_plot(out / PLOT, [row for row in rows if isinstance(row, Figures)])

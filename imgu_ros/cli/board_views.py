@@ -11,10 +11,10 @@ from pathlib import Path
 from imgu_ros.bags.pictures import recorded_pictures
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.cli.picture_layout import picture_layout
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, FileError, ImguError, ParameterError, TooFewPoints
-from imgu_ros.files.images import read_image_file
-from imgu_ros.params import Parameters
-from imgu_ros.perception.develop import develop
+from imgu_ros.image.development import develop
+from imgu_ros.image_files.images import read_image_file
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.camera.calibration import FEWEST_VIEWS
 from imgu_ros.vision.camera.chessboard import FEWEST_CORNERS, Chessboard, find_chessboard

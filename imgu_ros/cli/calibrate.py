@@ -17,7 +17,7 @@ from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
     from imgu_ros.cli.board_views import BoardViews, RefusedPicture
-    from imgu_ros.params import Parameters
+    from imgu_ros.config.parameters import Parameters
     from imgu_ros.vision.camera.calibration import Calibration
     from imgu_ros.vision.camera.chessboard import Chessboard
 
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     say(*described(calibration, found, board).split("\n"))
     write_camera_info(arguments.out, with_covariance(calibration.camera, calibration.covariance), arguments.name)
     if arguments.json:
-        from imgu_ros.files.text_files import write_text
+        from imgu_ros.file_access.text_files import write_text
 
         write_text(arguments.json, json.dumps(document(calibration, found, board), indent=2, allow_nan=False) + "\n")
     if arguments.picture:
@@ -219,7 +219,7 @@ def document(calibration: Calibration, found: BoardViews, board: Chessboard) -> 
 
 
 def _parameters(arguments: argparse.Namespace) -> Parameters:
-    from imgu_ros.parameter_values import parameters_from
+    from imgu_ros.config.values import parameters_from
 
     parameters = parameters_of(arguments)
     return parameters if arguments.topic is None else parameters_from({"image_topic": arguments.topic}, parameters)

@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"--frames: {arguments.frames}; need at least 1")
     # What the user sets is checked before minutes are spent on the simulation.
     parameters_of(arguments)
-    from imgu_ros.bags.folder_lock import locked_folder
+    from imgu_ros.replay.folder_lock import locked_folder
 
     _claim(arguments.out)
     with locked_folder(arguments.out):
@@ -41,11 +41,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
-    from imgu_ros.bags.replay import replay
     from imgu_ros.cli.progress import Progress
     from imgu_ros.cli.replay import accuracy_table
-    from imgu_ros.files.parameter_files import read_parameter_file
+    from imgu_ros.config.files import read_parameter_file
+    from imgu_ros.replay.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
+    from imgu_ros.replay.replay import replay
     from imgu_ros.simulate.sequence import Simulation
 
     bag, results = arguments.out / "bag", arguments.out / "replay"

@@ -12,7 +12,7 @@ from imgu_ros.cli.terminal import warn
 from imgu_ros.errors import FileError, ParameterError
 
 if TYPE_CHECKING:
-    from imgu_ros.params import Parameters
+    from imgu_ros.config.parameters import Parameters
     from imgu_ros.types import Image
 
 HELP = "turn a raw image file into a colour image"
@@ -23,7 +23,7 @@ _DTYPES = {"uint8": "uint8", "uint16": "<u2", "uint16le": "<u2", "uint16be": ">u
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    from imgu_ros.params import declaration
+    from imgu_ros.config.parameters import declaration
 
     method = declaration("demosaic.method")
     parser.add_argument(
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError("--pattern: none; need the mosaic's, such as --pattern rggb")
     raw = _read_raw(arguments, parameters)
     from imgu_ros.cli.picture_layout import picture_layout
-    from imgu_ros.files.images import write_image
+    from imgu_ros.image_files.images import write_image
     from imgu_ros.vision.formation.demosaic import demosaic
     from imgu_ros.vision.formation.levels import with_levels
 
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parameters(arguments: argparse.Namespace) -> Parameters:
     """Return the parameters, with the short options over those of -p."""
-    from imgu_ros.parameter_values import parameters_from
+    from imgu_ros.config.values import parameters_from
 
     short = {
         "demosaic.method": arguments.method,
@@ -89,12 +89,12 @@ def _read_raw(arguments: argparse.Namespace, parameters: Parameters) -> Image:
     if any(value is not None for value in headerless):
         if any(value is None for value in headerless):
             raise ParameterError("headerless input: got only some of --width, --height, --dtype; need all three")
-        from imgu_ros.files.images import read_raw_image
+        from imgu_ros.image_files.images import read_raw_image
 
         return read_raw_image(
             arguments.input, arguments.width, arguments.height, _DTYPES[arguments.dtype], limits=parameters.limits
         )
-    from imgu_ros.files.images import read_image_file
+    from imgu_ros.image_files.images import read_image_file
 
     try:
         file = read_image_file(arguments.input, limits=parameters.limits)

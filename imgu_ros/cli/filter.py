@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.output.absolute().parent.is_dir():
         raise FileError(f"{arguments.output}: its folder does not exist; need a place that can be written")
     from imgu_ros.cli.filtering import FilterOptions, filtered
-    from imgu_ros.files.images import check_image_file, read_image_file, write_image
+    from imgu_ros.image_files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
     file = read_image_file(arguments.input, upright=True, limits=parameters.limits)

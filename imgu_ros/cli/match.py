@@ -14,9 +14,9 @@ from imgu_ros.cli.options import add_parameter_options, parameters_of
 from imgu_ros.cli.terminal import fail, say, warn
 
 if TYPE_CHECKING:
-    from imgu_ros.params import Parameters
-    from imgu_ros.perception.frame import Frame
-    from imgu_ros.perception.result import Result, TargetResult
+    from imgu_ros.config.parameters import Parameters
+    from imgu_ros.frame import Frame
+    from imgu_ros.result import Result, TargetResult
     from imgu_ros.vision.camera.pose import Pose
 
 HELP = "find a target in an image file: homography, and the pose when the camera is given"
@@ -60,15 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = _with_target(parameters_of(arguments), arguments)
     _check_outputs(arguments)
     from imgu_ros.files.target_images import load_target_images
-    from imgu_ros.perception.chain import Chain
-    from imgu_ros.perception.size_checks import SizeChecks
-    from imgu_ros.perception.targets import prepare_targets
+    from imgu_ros.localizer import Localizer
+    from imgu_ros.reference.planar import prepare_targets
+    from imgu_ros.reference.size_checks import SizeChecks
 
     targets = prepare_targets(load_target_images(parameters.targets, warn, limits=parameters.limits), parameters)
     frame = _frame(arguments, parameters)
     if arguments.warp:
         _check_warp(arguments.warp, frame)
-    result = Chain(_with_transfer(parameters, frame), targets).process(frame)
+    result = Localizer(_with_transfer(parameters, frame), targets).process(frame)
     found = result.targets[0]
     for line in (frame.camera_reason, *result.camera_remarks):
         if line:
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     for warning in SizeChecks(targets).add(result):
         warn(warning)
     if arguments.json:
-        from imgu_ros.files.text_files import write_text
+        from imgu_ros.file_access.text_files import write_text
 
         write_text(arguments.json, json.dumps(document(result), indent=2, allow_nan=False) + "\n")
     if arguments.draw:
@@ -169,7 +169,7 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
         check_overlay_suffix(arguments.draw)
     if arguments.warp:
-        from imgu_ros.files.images import check_image_file
+        from imgu_ros.image_files.images import check_image_file
 
         check_image_file(arguments.warp)
     elif arguments.interpolation:
@@ -182,7 +182,7 @@ def _check_warp(path: Path, frame: Frame) -> None:
     """Whether the file can hold the frame's data type and channels, colours for a mosaic."""
     import numpy as np
 
-    from imgu_ros.files.images import check_image_file
+    from imgu_ros.image_files.images import check_image_file
     from imgu_ros.vision.formation.layout import ColorModel
 
     colored = frame.image.layout.color is not ColorModel.MONO
@@ -190,8 +190,8 @@ def _check_warp(path: Path, frame: Frame) -> None:
 
 
 def _write_warped(arguments: argparse.Namespace, result: Result, size: tuple[int, int]) -> None:
-    from imgu_ros.files.images import write_image
-    from imgu_ros.perception.rectifying import rectified
+    from imgu_ros.image.rectification import rectified
+    from imgu_ros.image_files.images import write_image
     from imgu_ros.vision.formation.layout import ColorModel
 
     frame, homography = result.frame, result.targets[0].homography
@@ -203,7 +203,7 @@ def _write_warped(arguments: argparse.Namespace, result: Result, size: tuple[int
 
 
 def _with_target(parameters: Parameters, arguments: argparse.Namespace) -> Parameters:
-    from imgu_ros.parameter_values import parameters_from
+    from imgu_ros.config.values import parameters_from
 
     width = 0.0 if arguments.width_m is None else arguments.width_m
     # The lists are checked together: clear the parallel ones that a parameter file may have set.
@@ -227,8 +227,8 @@ def _with_transfer(parameters: Parameters, frame: Frame) -> Parameters:
 
 def _frame(arguments: argparse.Namespace, parameters: Parameters) -> Frame:
     from imgu_ros.cli.picture_layout import picture_layout
-    from imgu_ros.files.images import read_image_file
-    from imgu_ros.perception.frame import Frame
+    from imgu_ros.frame import Frame
+    from imgu_ros.image_files.images import read_image_file
     from imgu_ros.vision.formation.layout import RawImage
 
     file = read_image_file(arguments.image, limits=parameters.limits)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from imgu_ros.cli.terminal import warn
 
 if TYPE_CHECKING:
-    from imgu_ros.params import Parameters
+    from imgu_ros.config.parameters import Parameters
 
 _GROUP = "parameters (see `imgu params`)"
 
@@ -62,9 +62,9 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
     FileError
         If a parameter file cannot be read.
     """
+    from imgu_ros.config.files import GivenParameters
+    from imgu_ros.config.values import parameters_from
     from imgu_ros.errors import ParameterError
-    from imgu_ros.files.parameter_files import GivenParameters
-    from imgu_ros.parameter_values import parameters_from
 
     given = GivenParameters()
     overridden: list[str] = []

@@ -14,7 +14,7 @@ from imgu_ros.cli.terminal import say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from imgu_ros.params import Declaration
+    from imgu_ros.config.parameters import Declaration
 
 #: On top of what is printed to be a file of the repository. REUSE-IgnoreStart
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the parameters."""
-    from imgu_ros.parameter_values import parameter_values
-    from imgu_ros.params import declaration, declarations
+    from imgu_ros.config.parameters import declaration, declarations
+    from imgu_ros.config.values import parameter_values
 
     parameters = parameters_of(arguments)
     chosen = [known for known in declarations() if _is_asked_for(known.name, arguments.names)]
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not any(_is_asked_for(known.name, [asked]) for known in chosen):
             declaration(asked)  # raises, and names the nearest known one
     if arguments.yaml:
-        from imgu_ros.files.parameter_files import parameter_file_text
+        from imgu_ros.config.files import parameter_file_text
 
         # For programs: exact, where the rest is for people.
         text = parameter_file_text(parameter_values(parameters), [known.name for known in chosen])

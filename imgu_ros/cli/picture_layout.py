@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from imgu_ros.codec.encodings import encoding_named
 from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.messages.encodings import encoding_named
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout

@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Replay, print what came out, and say where it is."""
     parameters = parameters_of(arguments)
-    from imgu_ros.bags.replay import replay
     from imgu_ros.cli.progress import Progress
+    from imgu_ros.replay.replay import replay
 
     with Progress("replay") as progress:
         summary = replay(

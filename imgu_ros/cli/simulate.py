@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 from imgu_ros.cli.terminal import say, warn
 
 if TYPE_CHECKING:
-    from imgu_ros.bags.recording import BagFormat
-    from imgu_ros.perception.targets import TargetImage
+    from imgu_ros.reference.planar import TargetImage
+    from imgu_ros.replay.recording import BagFormat
     from imgu_ros.simulate.capture import Capture
     from imgu_ros.simulate.sequence import Simulation
     from imgu_ros.vision.camera.intrinsics import Camera
@@ -100,8 +100,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, and say what to do with the result."""
-    from imgu_ros.bags.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
     from imgu_ros.cli.progress import Progress
+    from imgu_ros.replay.recording import PARAMETER_FILE, TRUTH_FILE, record_simulation
 
     bag_format = _format(arguments)
     simulation = _simulation(arguments, bag_format)
@@ -126,8 +126,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _format(arguments: argparse.Namespace) -> BagFormat:
     """Reconcile --pattern, --bits and --encoding."""
-    from imgu_ros.bags.recording import BagFormat
     from imgu_ros.errors import ParameterError
+    from imgu_ros.replay.recording import BagFormat
     from imgu_ros.vision.formation.cfa import BayerPattern
 
     if arguments.pattern is not None and arguments.pattern not in list(BayerPattern):
@@ -141,8 +141,8 @@ def _format(arguments: argparse.Namespace) -> BagFormat:
 
 
 def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulation:
-    from imgu_ros.bags.recording import simulated_encoding
     from imgu_ros.errors import ParameterError
+    from imgu_ros.replay.recording import simulated_encoding
     from imgu_ros.simulate.path import Motion
     from imgu_ros.simulate.sequence import Simulation, check_simulation
     from imgu_ros.vision.formation.sensor import Sensor
@@ -214,8 +214,8 @@ def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
         return default_targets(count, arguments.seed, arguments.width_m)
     if arguments.targets is not None:
         raise ParameterError(f"targets: {arguments.targets} with --template; need one or the other")
+    from imgu_ros.config.parameters import TargetsParameters
     from imgu_ros.files.target_images import load_target_images
-    from imgu_ros.params import TargetsParameters
 
     paths = tuple(str(path) for path in arguments.template)
     return load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)), warn)

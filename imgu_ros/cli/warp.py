@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, warp, write."""
     _check(arguments)
-    from imgu_ros.files.images import check_image_file, read_image_file, write_image
+    from imgu_ros.image_files.images import check_image_file, read_image_file, write_image
 
     check_image_file(arguments.output)
     file = read_image_file(arguments.input, upright=True, limits=parameters_of(arguments).limits)

@@ -18,10 +18,10 @@ from typing import Any
 
 import yaml
 
-from imgu_ros.codec.camera_reading import CameraDescription
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import FileError
 from imgu_ros.files.yaml_tree import yaml_tree
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
+from imgu_ros.messages.camera_reading import CameraDescription
 
 #: Names, in lower case and without underscores, of what a YAML says.
 _NAMES = {

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from imgu_ros.codec.camera_reading import CameraDescription, CameraReading, read_camera
-from imgu_ros.codec.distortion_names import message_name
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import FileError
+from imgu_ros.file_access.bounded_reading import file_bytes
+from imgu_ros.file_access.text_files import write_text
 from imgu_ros.files.calibration_formats import described_camera
-from imgu_ros.files.reading import file_bytes
-from imgu_ros.files.text_files import write_text
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
+from imgu_ros.messages.camera_reading import CameraDescription, CameraReading, read_camera
+from imgu_ros.messages.distortion_names import message_name
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.intrinsics import Camera
 

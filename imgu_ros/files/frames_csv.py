@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.errors import FileError
-from imgu_ros.files.reading import file_lines
-from imgu_ros.files.text_files import csv_line, csv_writer
-from imgu_ros.files.whole_files import LineFile
-from imgu_ros.perception.result import Result, Stage, TargetResult
+from imgu_ros.file_access.atomic_files import LineFile
+from imgu_ros.file_access.bounded_reading import file_lines
+from imgu_ros.file_access.text_files import csv_line, csv_writer
+from imgu_ros.result import Result, Stage, TargetResult
 from imgu_ros.shown_text import as_cell, cell_text, shown
 from imgu_ros.types import Floats
 

@@ -10,10 +10,10 @@ from types import TracebackType
 
 import numpy as np
 
+from imgu_ros.file_access.atomic_files import LineFile
+from imgu_ros.file_access.text_files import csv_line, csv_writer
 from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS
-from imgu_ros.files.text_files import csv_line, csv_writer
-from imgu_ros.files.whole_files import LineFile
-from imgu_ros.perception.result import PoseStatus, Result
+from imgu_ros.result import PoseStatus, Result
 from imgu_ros.shown_text import as_cell
 
 AMBIGUOUS_FILE = "ambiguous.csv"

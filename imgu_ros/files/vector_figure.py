@@ -17,8 +17,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.textpath import text_to_path
 
 from imgu_ros.errors import FileError
+from imgu_ros.file_access.atomic_files import write_whole
 from imgu_ros.files.plot_style import plot_style
-from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Image, Points, as_image, as_points
 
 #: Suffixes of vector formats.

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 
 #: libyaml where PyYAML was built with it.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from imgu_ros.errors import FileError
+from imgu_ros.file_access.atomic_files import write_whole
 from imgu_ros.files.plot_style import plot_style
 from imgu_ros.files.vector_figure import VECTOR_SUFFIXES, save_figure
-from imgu_ros.files.whole_files import write_whole
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.calibration import Calibration
 

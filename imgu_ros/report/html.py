@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 from markupsafe import Markup
 
+from imgu_ros.config.parameters import declarations
+from imgu_ros.file_access.text_files import write_text
 from imgu_ros.files.plot_style import plot_style
-from imgu_ros.files.text_files import write_text
-from imgu_ros.params import declarations
 from imgu_ros.report import plots
 from imgu_ros.report.digits import figures
 from imgu_ros.report.samples import Sample

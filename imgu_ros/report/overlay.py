@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import FileError, ImguError
-from imgu_ros.files.images import RASTER_SUFFIXES, write_image
-from imgu_ros.perception.reasons import unusable_frame
-from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.image_files.images import RASTER_SUFFIXES, write_image
+from imgu_ros.reasons import unusable_frame
+from imgu_ros.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.types import Floats, Image, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import FileError
-from imgu_ros.perception.result import Result
 from imgu_ros.report.overlay import draw_result
+from imgu_ros.result import Result
 from imgu_ros.types import Image
 
 _KEPT = 6

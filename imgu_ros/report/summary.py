@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imgu_ros.files.text_files import write_text
-from imgu_ros.params import ParameterValue
-from imgu_ros.perception.result import CalibrationFinding, PoseStatus, Stage, Status
+from imgu_ros.config.parameters import ParameterValue
+from imgu_ros.file_access.text_files import write_text
 from imgu_ros.report.table import FrameTable
+from imgu_ros.result import CalibrationFinding, PoseStatus, Stage, Status
 from imgu_ros.types import Floats
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, H_COLUMNS, Q_COLUMNS, T_COLUMNS, TIME_COLUMNS, read_rows
-from imgu_ros.perception.result import PoseStatus, Stage, Status
 from imgu_ros.report.accuracy import RowErrors, TruthComparison, camera_position
+from imgu_ros.result import PoseStatus, Stage, Status
 from imgu_ros.types import Floats, Indices, Mask
 
 _NAN = float("nan")

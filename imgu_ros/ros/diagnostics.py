@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from rclpy.node import Node
 
-from imgu_ros.codec.diagnostics import HealthEntry, Level
-from imgu_ros.perception.result import Result
+from imgu_ros.messages.diagnostics import HealthEntry, Level
+from imgu_ros.result import Result
 from imgu_ros.ros.cause import Cause, Kind
 from imgu_ros.ros.clock_cause import other_clock
 from imgu_ros.ros.input import ImageInput

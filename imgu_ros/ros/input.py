@@ -14,17 +14,17 @@ from rclpy.subscription import Subscription
 
 from imgu_ros.bags.decoding import message_from_cdr
 from imgu_ros.bags.messages import typestore
-from imgu_ros.codec.header import decode_header
-from imgu_ros.codec.header_checks import HeaderChecks
-from imgu_ros.codec.image import data_bytes
-from imgu_ros.codec.pairing import Pair, Pairing
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
+from imgu_ros.messages.header import decode_header
+from imgu_ros.messages.header_checks import HeaderChecks
+from imgu_ros.messages.image import data_bytes
+from imgu_ros.messages.pairing import Pair, Pairing
+from imgu_ros.ros.frame_queue import FrameQueue
+from imgu_ros.ros.graph_checks import Wanted
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.middleware import large_message_warnings
-from imgu_ros.ros.newest import NewestSlot
-from imgu_ros.ros.offers import Wanted
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, image_qos, overridable, override_names
 from imgu_ros.ros.standstill import Standstill
 
@@ -86,7 +86,7 @@ class ImageInput:
 
     def __init__(self, node: Node, transport: str) -> None:
         self.standstill = Standstill()
-        self.slot: NewestSlot[Job] = NewestSlot(
+        self.slot: FrameQueue[Job] = FrameQueue(
             is_old=lambda job: self.standstill.precedes(job.received_s), sender=lambda job: job.frame_id
         )
         self.limits = LimitsParameters()

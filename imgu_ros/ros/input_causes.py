@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 
 from rclpy.node import Node
 
-from imgu_ros.codec.header_checks import Oddity, what_becomes
+from imgu_ros.messages.header_checks import Oddity, what_becomes
 from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.graph_checks import is_latched, why_not_offered
 from imgu_ros.ros.input import ImageInput
 from imgu_ros.ros.middleware import against_loss
-from imgu_ros.ros.offers import is_latched, why_not_offered
 from imgu_ros.ros.reach import NO_NAME, another_user, has_no_names
 from imgu_ros.shown_text import shown
 

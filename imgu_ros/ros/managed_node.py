@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.ros.beside import Beside
+from imgu_ros.ros.background_call import BackgroundCall
 from imgu_ros.ros.middleware import lacks_memory, profile_line
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.parameter_sections import unheeded_parameters
@@ -72,7 +72,7 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._outputs: Outputs | None = None
         self._server = ParameterServer(self)
-        self._beside = Beside()
+        self._beside = BackgroundCall()
         # While one of them is answered the other callbacks go on.
         self._slow_services = MutuallyExclusiveCallbackGroup()
         self.create_service(SetBool, "~/pause", self._on_pause)

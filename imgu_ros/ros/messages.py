@@ -16,7 +16,7 @@ from imgu_ros.nearest_name import nearest_name
 
 
 def make_message(type_name: str, /, **fields: object) -> Any:
-    """Return a message of the Python classes that rclpy uses; see `imgu_ros.codec.factory.MessageFactory`.
+    """Return a message of the Python classes that rclpy uses; see `imgu_ros.messages.factory.MessageFactory`.
 
     Raises
     ------

@@ -11,9 +11,11 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from imgu_ros.codec.geometry import PathHistory, odometry_message, tf_message
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.results import (
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.errors import EstimationError
+from imgu_ros.messages.geometry import PathHistory, odometry_message, tf_message
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.results import (
     FRAME_OUTPUTS,
     TARGET_OUTPUTS,
     compressed_picture_message,
@@ -23,13 +25,11 @@ from imgu_ros.codec.results import (
     result_header,
     target_transforms,
 )
-from imgu_ros.codec.status import held_up_message
-from imgu_ros.errors import EstimationError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.map_pose import camera_in_map
-from imgu_ros.perception.result import Result, TargetResult
+from imgu_ros.messages.status import held_up_message
+from imgu_ros.pose.map_pose import camera_in_map
 from imgu_ros.report.overlay import draw_result
-from imgu_ros.ros.map_tie import TF_TOPIC, TF_TYPE, MapTie
+from imgu_ros.result import Result, TargetResult
+from imgu_ros.ros.map_to_root import TF_TOPIC, TF_TYPE, MapToRootPublisher
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.publishers import Publishers, Topic
 from imgu_ros.types import Image
@@ -92,7 +92,7 @@ class Outputs:
         self._publishers = Publishers(node)
         self._paths: dict[str, PathHistory] = {}
         self._map_path: PathHistory | None = None
-        self._tie: MapTie | None = None
+        self._tie: MapToRootPublisher | None = None
         self._problem = ""
         try:
             self.adapt(target_names, parameters)
@@ -125,7 +125,7 @@ class Outputs:
             self._tie.destroy()
             self._tie = None
         if self._tie is None and wanted is not None:
-            self._tie = MapTie(self._node, *wanted)
+            self._tie = MapToRootPublisher(self._node, *wanted)
 
     def wanted(self) -> bool:
         """Return whether anybody listens to any output; `publish_tf` counts as a listener."""

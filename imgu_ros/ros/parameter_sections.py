@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from imgu_ros.config.files import parameter_file_bytes
+from imgu_ros.config.rcl_parameters import RclParameters, section_applies, with_slash
 from imgu_ros.errors import ImguError
-from imgu_ros.files.parameter_files import parameter_file_bytes
-from imgu_ros.files.rcl_parameters import RclParameters, section_applies, with_slash
 
 
 def unheeded_parameters(ros_arguments: Sequence[str], node_name: str) -> list[str]:

@@ -17,11 +17,11 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from imgu_ros.config.parameters import Declaration, Parameters, ParameterValue, declaration, declarations
+from imgu_ros.config.values import checked_value, is_empty_group, parameters_from, value_or_empty
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.files.frame_reading import check_change
 from imgu_ros.nearest_name import nearest_name
-from imgu_ros.parameter_values import checked_value, is_empty_group, parameters_from, value_or_empty
-from imgu_ros.params import Declaration, Parameters, ParameterValue, declaration, declarations
 
 #: Values of this group wait for `ParameterServer.reload`.
 STAGED = "targets."

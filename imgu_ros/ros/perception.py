@@ -8,16 +8,16 @@ from collections.abc import Callable, Sequence
 from imgu_ros.errors import ImguError
 from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.perception.building import Built
-from imgu_ros.perception.remarks import Remarks
-from imgu_ros.perception.result import Result
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.localizer_builder import Built
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.remarks import Remarks
+from imgu_ros.result import Result
 from imgu_ros.ros.cause import Cause
 from imgu_ros.ros.diagnostics import NodeState, unusable_camera_info
-from imgu_ros.ros.explaining import Explainer
+from imgu_ros.ros.explanations import Explainer
+from imgu_ros.ros.graph_checks import why_not_served
 from imgu_ros.ros.input import ImageInput, Job
 from imgu_ros.ros.managed_node import ManagedNode, run_managed
-from imgu_ros.ros.offers import why_not_served
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.stopping import StopSignal

@@ -23,13 +23,13 @@ from rosgraph_msgs.msg import Clock
 from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.reading import Bag, open_bag
 from imgu_ros.bags.storage import RawMessage
-from imgu_ros.codec.clock import clock_message
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError, ImguError
-from imgu_ros.params import DEFAULT_LIMITS, LimitsParameters
+from imgu_ros.messages.clock import clock_message
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.middleware import large_message_warnings, profile_line
-from imgu_ros.ros.pace import Pace
 from imgu_ros.ros.play_report import PlayReport, Span
+from imgu_ros.ros.playback_clock import PlaybackClock
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
 from imgu_ros.ros.reach import domain_text, elsewhere
@@ -218,7 +218,7 @@ class _Player:
             with contextlib.closing(Prefetch(self._selected(), lambda m: len(m.data))) as messages:
                 messages.wait_filled(0.5)
                 # A new one for each round: the gap between the rounds is not a delay.
-                pace = Pace(self._options.rate)
+                pace = PlaybackClock(self._options.rate)
                 for message in messages:
                     self._sleep_until(pace.earliest(message.time_ns), message.time_ns)
                     self._late_s.append(pace.published(message.time_ns))

@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.building import Built, build
+from imgu_ros.localizer_builder import Built, build
 from imgu_ros.threads import quick_thread_switches
 
 #: The longest rest between two chains, s.

@@ -11,22 +11,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.codec.header import Header, decode_header
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
-from imgu_ros.params import Parameters
-from imgu_ros.perception.building import Built, build
-from imgu_ros.perception.chain import rejected_targets
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result
-from imgu_ros.perception.size_checks import SizeChecks
-from imgu_ros.perception.targets import Target, TargetImage
-from imgu_ros.ros.in_hand import InHand
+from imgu_ros.frame import Frame
+from imgu_ros.localizer import rejected_targets
+from imgu_ros.localizer_builder import Built, build
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.reference.planar import Target, TargetImage
+from imgu_ros.reference.size_checks import SizeChecks
+from imgu_ros.result import Result
+from imgu_ros.ros.current_frame import CurrentFrame
+from imgu_ros.ros.frame_queue import FrameQueue
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.meters import LatencyMeter, RateMeter
-from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.rebuilding import Rebuilder
-from imgu_ros.ros.sought import Sought
+from imgu_ros.ros.search_failures import SearchFailures
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 #: The worker waits for no longer than this for somebody who wants to come between two frames.
@@ -73,12 +73,12 @@ class Worker:
     sizes : widths of targets that cannot be
     """
 
-    def __init__(self, slot: NewestSlot[Job], parameters: Callable[[], Parameters], handlers: Handlers) -> None:
+    def __init__(self, slot: FrameQueue[Job], parameters: Callable[[], Parameters], handlers: Handlers) -> None:
         self.done = RateMeter()
         self.latency = LatencyMeter()
         self.age = LatencyMeter()
-        self.in_hand = InHand()
-        self.sought = Sought()
+        self.in_hand = CurrentFrame()
+        self.sought = SearchFailures()
         self.sizes = SizeChecks(())
         self._slot = slot
         self._parameters = parameters

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.perception.frame import Frame
+from imgu_ros.frame import Frame
 from imgu_ros.simulate.pictures import look_alike
 from imgu_ros.simulate.sequence import SimulatedFrame, default_camera
 from imgu_ros.types import Image, Matrix3, as_image

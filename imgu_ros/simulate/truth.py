@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.errors import FileError, ShapeError
+from imgu_ros.file_access.bounded_reading import file_lines
+from imgu_ros.file_access.text_files import write_text
 from imgu_ros.files.frames_csv import H_COLUMNS, Q_COLUMNS, T_COLUMNS
-from imgu_ros.files.reading import file_lines
-from imgu_ros.files.text_files import write_text
 from imgu_ros.shown_text import as_cell, cell_text
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_matrix
 from imgu_ros.vision.camera.intrinsics import Camera

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from imgu_ros.bags.background import Background
+from imgu_ros.replay.background_thread import Background
 
 
 def alive() -> bool:

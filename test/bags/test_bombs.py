@@ -16,8 +16,8 @@ from imgu_ros.bags import compression
 from imgu_ros.bags.chunks import ChannelRecord, Definitions, Room, SchemaRecord
 from imgu_ros.bags.compression import Expansion, decompressed, decompressed_message, zstd
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 SMALL = LimitsParameters(message_mb=8, temporary_mb=3)
 COMPRESS = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}

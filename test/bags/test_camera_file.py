@@ -18,14 +18,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.recording import record_simulation
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
-from imgu_ros.codec.compressed_image import compressed_image_message
-from imgu_ros.codec.header import decode_header
-from imgu_ros.codec.image import decode_image
 from imgu_ros.files.camera_info_file import camera_info_text, read_camera_info
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.messages.compressed_image import compressed_image_message
+from imgu_ros.messages.header import decode_header
+from imgu_ros.messages.image import decode_image
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.replay.recording import record_simulation
 from imgu_ros.simulate.chessboard import draw_chessboard, random_chessboard_view
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
@@ -51,7 +51,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.replay.reporting.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture

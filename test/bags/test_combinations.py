@@ -15,12 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgu_ros.bags.recording import record_simulation
-from imgu_ros.bags.replay import replay
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_checks import why_not
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import (
+from imgu_ros.config.checks import why_not
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import (
     DescriptorParameters,
     KeypointsParameters,
     MatchingParameters,
@@ -30,7 +27,10 @@ from imgu_ros.params import (
     declaration,
     declarations,
 )
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.config.values import parameters_from
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
 from imgu_ros.simulate.path import Motion
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
@@ -160,7 +160,7 @@ def all_pairs(combinations: list[Combination]) -> set[frozenset[tuple[str, objec
 
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.replay.reporting.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture(scope="module")

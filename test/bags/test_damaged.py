@@ -17,8 +17,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from imgu_ros.bags.messages import make_message, typestore
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 #: Ten chunks of three messages.
 CHUNKS = [[(10 * c + i, f"message {10 * c + i:03d} " * 5) for i in range(3)] for c in range(10)]

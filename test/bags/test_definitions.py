@@ -11,8 +11,8 @@ import pytest
 
 from imgu_ros.bags.decoding import MessageDecoder
 from imgu_ros.bags.storage import Channel, RawMessage
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 CDR = b"\0\1\0\0"
 

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from imgu_ros.bags.frame_source import FrameSource
 from imgu_ros.bags.image_choice import choose_image_topic
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.pictures import recorded_pictures
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
-from imgu_ros.codec.encodings import encoding_named
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError
-from imgu_ros.params import Parameters
+from imgu_ros.messages.encodings import encoding_named
+from imgu_ros.replay.frame_source import FrameSource
 
 INFO = "camera_info"
 WIDTH, HEIGHT = 32, 24

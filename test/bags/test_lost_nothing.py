@@ -16,8 +16,8 @@ from imgu_ros.bags import chunks
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.storage import Part, RawMessage, merge_by_time
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 from test.bags.scan import scan_mcap, scan_rosbag1
 
 CHUNKS = [[(10 * c + i, f"message {10 * c + i:03d} " * 5) for i in range(3)] for c in range(6)]

@@ -12,8 +12,8 @@ import yaml
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 
 @pytest.fixture

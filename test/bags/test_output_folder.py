@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from imgu_ros.bags import folder_lock
-from imgu_ros.bags.output_folder import Contents, RunFolder, check_output_folder, output_folder
 from imgu_ros.errors import FileError
+from imgu_ros.replay import folder_lock
+from imgu_ros.replay.output_folder import Contents, RunFolder, check_output_folder, output_folder
 
 CONTENTS = Contents(
     "replay", ("table.csv", "bag/data.mcap", "bag/metadata.yaml", "bag.part/bag/data.mcap", "end"), "end"

@@ -14,19 +14,19 @@ from pathlib import Path
 import cv2
 import pytest
 
-from imgu_ros.bags.frame_source import FrameSource
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.recording import record_simulation
-from imgu_ros.bags.replay import replay
 from imgu_ros.cli.main import main
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError
 from imgu_ros.files.frames_csv import FramesWriter
-from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.localizer import Localizer
+from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.replay.frame_source import FrameSource
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -48,7 +48,7 @@ def parameters(bag: Path) -> Parameters:
 
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.replay.reporting.write_report", lambda path, *_: path.touch())
 
 
 def untimed(path: Path) -> list[dict[str, str]]:
@@ -78,7 +78,7 @@ def test_the_same_as_one_frame_after_the_other(bag: Path, parameters: Parameters
     threads = cv2.getNumThreads()
     replay([bag], tmp_path / "out", parameters)
     assert cv2.getNumThreads() == threads
-    chain = Chain(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
+    chain = Localizer(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source, FramesWriter(tmp_path / "serial.csv") as serial:
         for recorded in FrameSource(source, parameters).frames():
             serial.write(chain.process(recorded.frame))
@@ -112,14 +112,14 @@ def test_an_interrupt_leaves_whole_files(
 def test_an_error_of_the_chain_leaves_whole_files(
     bag: Path, parameters: Parameters, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    process, frames = Chain.process, iter(range(FRAMES))
+    process, frames = Localizer.process, iter(range(FRAMES))
 
     def failing(*arguments: object, **named: object) -> object:
         if next(frames) == 7:
             raise MemoryError("frame 7")
         return process(*arguments, **named)
 
-    monkeypatch.setattr(Chain, "process", failing)
+    monkeypatch.setattr(Localizer, "process", failing)
     with pytest.raises(MemoryError, match="frame 7"):
         replay([bag], tmp_path / "out", parameters)
     assert_whole(tmp_path / "out", 7)
@@ -166,14 +166,14 @@ def test_an_error_of_the_reader_comes_after_the_frames_before_it(
 def test_ctrl_c_ends_the_command(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    process, frames = Chain.process, iter(range(FRAMES))
+    process, frames = Localizer.process, iter(range(FRAMES))
 
     def interrupted(*arguments: object, **named: object) -> object:
         if next(frames) == 4:
             os.kill(os.getpid(), signal.SIGINT)
         return process(*arguments, **named)
 
-    monkeypatch.setattr(Chain, "process", interrupted)
+    monkeypatch.setattr(Localizer, "process", interrupted)
     argv = ["replay", str(bag), "--params-file", str(bag / "params.yaml"), "--out", str(tmp_path / "out")]
     # A shell starts what runs in the background with the signal ignored, and Python leaves that so.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

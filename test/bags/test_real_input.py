@@ -15,12 +15,12 @@ from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
-from imgu_ros.codec.frame import decode_frame
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import decode_image, image_message
-from imgu_ros.files.images import read_raw_image, write_image
-from imgu_ros.params import DemosaicParameters, RawParameters
-from imgu_ros.perception.develop import develop
+from imgu_ros.config.parameters import DemosaicParameters, RawParameters
+from imgu_ros.image.development import develop
+from imgu_ros.image_files.images import read_raw_image, write_image
+from imgu_ros.messages.frame import decode_frame
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import decode_image, image_message
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from imgu_ros.bags.reasons import Reasons
+from imgu_ros.replay.reason_counts import Reasons
 
 
 def test_reasons_that_differ_in_numbers_count_as_one() -> None:

@@ -14,16 +14,16 @@ import pytest
 
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.recording import record_simulation
-from imgu_ros.bags.replay import replay
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError, FileError, ParameterError
 from imgu_ros.files.frames_csv import COLUMNS
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.result import Stage
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
+from imgu_ros.result import Stage
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import corner_error, read_truth
@@ -45,7 +45,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than replaying: only the module's own replay draws its report."""
-    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.replay.reporting.write_report", lambda path, *_: path.touch())
 
 
 @pytest.fixture(scope="module")

@@ -15,24 +15,24 @@ from pathlib import Path
 
 import pytest
 
-from imgu_ros.bags import result_sink
-from imgu_ros.bags.frame_source import FrameSource
-from imgu_ros.bags.output_folder import output_folder
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.recording import record_simulation
-from imgu_ros.bags.replay import replay
-from imgu_ros.bags.result_files import replay_contents
-from imgu_ros.bags.result_process import ResultProcess
-from imgu_ros.bags.result_thread import ResultThread
-from imgu_ros.bags.result_writer import serve
-from imgu_ros.bags.written import Files, Written
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError, FileError
-from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.localizer import Localizer
+from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.replay import result_sink
+from imgu_ros.replay.frame_source import FrameSource
+from imgu_ros.replay.output_folder import output_folder
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
+from imgu_ros.replay.result_files import replay_contents
+from imgu_ros.replay.result_items import Files, ResultItem
+from imgu_ros.replay.result_process import ResultProcess
+from imgu_ros.replay.result_thread import ResultThread
+from imgu_ros.replay.result_writer import serve
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -53,12 +53,12 @@ def parameters(bag: Path) -> Parameters:
 
 
 @pytest.fixture
-def written(bag: Path, parameters: Parameters) -> list[Written]:
+def written(bag: Path, parameters: Parameters) -> list[ResultItem]:
     """Three frames' results."""
-    chain = Chain(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
+    chain = Localizer(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source:
         frames = FrameSource(source, parameters).frames()
-        return [Written(chain.process(next(frames).frame), index) for index in range(3)]
+        return [ResultItem(chain.process(next(frames).frame), index) for index in range(3)]
 
 
 @pytest.fixture
@@ -157,7 +157,7 @@ def test_an_error_before_the_first_frame_ends_the_process(tmp_path: Path, parame
 
 
 def test_what_the_process_cannot_write_is_raised(
-    parameters: Parameters, written: list[Written], tmp_path: Path
+    parameters: Parameters, written: list[ResultItem], tmp_path: Path
 ) -> None:
     with files(tmp_path, parameters) as described:
         (tmp_path / "results.part").touch()
@@ -166,7 +166,7 @@ def test_what_the_process_cannot_write_is_raised(
                 sink.put(item)
 
 
-def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: list[Written], tmp_path: Path) -> None:
+def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: list[ResultItem], tmp_path: Path) -> None:
     with (
         pytest.raises(BagError, match="ended early, with code -9"),
         files(tmp_path, parameters) as described,
@@ -179,7 +179,7 @@ def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: li
 
 
 def test_an_input_that_breaks_off_leaves_whole_files(
-    parameters: Parameters, written: list[Written], tmp_path: Path
+    parameters: Parameters, written: list[ResultItem], tmp_path: Path
 ) -> None:
     with files(tmp_path, parameters) as described:
         stream = pickle.dumps(described) + pickle.dumps(written) + pickle.dumps(written)[:-100]

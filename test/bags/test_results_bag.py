@@ -11,11 +11,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from imgu_ros.bags.results_bag import ResultsBag
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.perception.develop import develop
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.config.values import parameters_from
+from imgu_ros.frame import Frame
+from imgu_ros.image.development import develop
+from imgu_ros.replay.results_bag import ResultsBag
+from imgu_ros.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from imgu_ros.bags import sqlite_pages
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.salvage import sqlite_pages
 from imgu_ros.bags.sqlite_file import SqliteFile
 from imgu_ros.bags.storage import Warnings
+from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from imgu_ros.params import LimitsParameters
 
 TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
 MESSAGES = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"

@@ -7,14 +7,14 @@ import random
 
 import numpy as np
 
-from imgu_ros.bags.frame_source import FrameSource
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import image_message
-from imgu_ros.params import Parameters
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import image_message
+from imgu_ros.replay.frame_source import FrameSource
 from imgu_ros.vision.camera.intrinsics import make_camera
 
 FOCAL_PX = {"left": 300.0, "right": 500.0}

@@ -16,20 +16,20 @@ from pathlib import Path
 
 import pytest
 
-from imgu_ros.bags import result_sink
-from imgu_ros.bags.output_folder import check_output_folder
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.recording import record_simulation
-from imgu_ros.bags.replay import replay
-from imgu_ros.bags.result_files import replay_contents
 from imgu_ros.cli import progress
 from imgu_ros.cli.main import main
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import COLUMNS
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.replay import result_sink
+from imgu_ros.replay.output_folder import check_output_folder
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
+from imgu_ros.replay.result_files import replay_contents
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -39,7 +39,7 @@ FRAMES, LAST = 30, 12
 SCRIPT = """
 import os, signal, sys
 from pathlib import Path
-from imgu_ros.bags import result_sink
+from imgu_ros.replay import result_sink
 from imgu_ros.cli import main, progress
 result_sink._WORTH_A_PROCESS, os.sched_getaffinity = 1, lambda pid: {0, 1}
 

@@ -12,7 +12,7 @@ import pytest
 from imgu_ros.bench.figures import figures, is_false
 from imgu_ros.bench.measuring import Measured, Sample, Show, Timing, measure, measure_in_turn
 from imgu_ros.bench.methods import Answer, Answered
-from imgu_ros.perception.frame import Frame
+from imgu_ros.frame import Frame
 from imgu_ros.simulate.conditions import PLAIN, condition_named
 from imgu_ros.simulate.trials import Trial, known_targets, trial_batches, trial_frames
 from imgu_ros.vision.camera.rigid import RigidTransform

@@ -22,7 +22,7 @@ from imgu_ros.bench.plots import write_plot
 from imgu_ros.bench.suites import Growth, Options, Suite, run_suite
 from imgu_ros.bench.tables import tables
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.perception.frame import Frame
+from imgu_ros.frame import Frame
 from imgu_ros.simulate.conditions import PLAIN, condition_named
 from imgu_ros.simulate.texture import procedural_texture
 

@@ -40,7 +40,7 @@ def test_photographs_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main([*command, str(tmp_path)]) == 1
     assert "no colour picture" in capsys.readouterr().err
     from imgu_ros.cli.bench import _photographs
-    from imgu_ros.files.images import write_image
+    from imgu_ros.image_files.images import write_image
     from imgu_ros.simulate.texture import procedural_texture
 
     picture = procedural_texture(64, 48, 3)

@@ -13,10 +13,10 @@ from PIL import Image as Pillow
 
 from imgu_ros.cli.board_views import find_board_views
 from imgu_ros.cli.main import main
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import TooFewPoints
 from imgu_ros.files.camera_info_file import read_camera_info, read_camera_name
-from imgu_ros.files.images import read_image, write_image
-from imgu_ros.params import Parameters
+from imgu_ros.image_files.images import read_image, write_image
 from imgu_ros.simulate.chessboard import draw_chessboard, random_chessboard_view
 from imgu_ros.vision.camera.chessboard import Chessboard
 from imgu_ros.vision.camera.intrinsics import make_camera

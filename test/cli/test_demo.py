@@ -13,7 +13,7 @@ def test_demo_prints_the_table_and_can_be_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("imgu_ros.bags.reporting.write_report", lambda path, *_: path.touch())
+    monkeypatch.setattr("imgu_ros.replay.reporting.write_report", lambda path, *_: path.touch())
     for _ in range(2):
         assert main(["demo", "--frames", "1"]) == 0
     out = capsys.readouterr().out

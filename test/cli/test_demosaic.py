@@ -9,8 +9,8 @@ import pytest
 from PIL import Image as Pillow
 
 from imgu_ros.cli.main import main
-from imgu_ros.files.images import read_image, write_image
-from imgu_ros.params import declaration
+from imgu_ros.config.parameters import declaration
+from imgu_ros.image_files.images import read_image, write_image
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 
 COLOR = (10, 20, 30)

@@ -10,7 +10,7 @@ import pytest
 
 from imgu_ros.cli.filter import BORDERS, METHODS, OPERATORS
 from imgu_ros.cli.main import main
-from imgu_ros.files.images import read_image, write_image
+from imgu_ros.image_files.images import read_image, write_image
 from imgu_ros.vision.processing.borders import Border
 from imgu_ros.vision.processing.derivatives import Derivative
 

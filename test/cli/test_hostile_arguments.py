@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.cli.main import COMMANDS, main
-from imgu_ros.files import reading
+from imgu_ros.file_access import bounded_reading as reading
 
 BOUND_S = 60.0
 MEMORY = 6 << 30

@@ -13,7 +13,7 @@ from PIL import Image as Pillow
 from imgu_ros.cli.main import main
 from imgu_ros.cli.match import INTERPOLATIONS
 from imgu_ros.files.camera_info_file import write_camera_info
-from imgu_ros.files.images import read_image, write_image
+from imgu_ros.image_files.images import read_image, write_image
 from imgu_ros.simulate.geometry import image_from_template, rotation_about, target_from_template
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import corner_error

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
-from imgu_ros.params import Parameters
 
 
 def parsed(*argv: str) -> Parameters:

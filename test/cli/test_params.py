@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from imgu_ros.cli.main import main
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_values import parameter_values, parameters_from
-from imgu_ros.params import Parameters, declarations
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Parameters, declarations
+from imgu_ros.config.values import parameter_values, parameters_from
 
 
 def test_every_parameter_is_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from imgu_ros.bags.messages import make_message
-from imgu_ros.bags.recording import record_simulation
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
-from imgu_ros.files.images import write_image
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.image_files.images import write_image
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.replay.recording import record_simulation
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 

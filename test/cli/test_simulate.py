@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.cli.main import main
-from imgu_ros.files.images import write_image
+from imgu_ros.image_files.images import write_image
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import read_truth
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.cli.main import main
-from imgu_ros.files.images import read_image, write_image
+from imgu_ros.image_files.images import read_image, write_image
 
 PICTURE = np.random.default_rng(4).integers(0, 256, (6, 9, 3), np.uint8)
 

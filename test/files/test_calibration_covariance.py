@@ -14,18 +14,18 @@ import pytest
 import yaml
 
 from imgu_ros.bags.messages import make_message
-from imgu_ros.bags.recording import record_simulation
-from imgu_ros.bags.replay import replay
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.camera_reading import read_camera
-from imgu_ros.codec.header import Header
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import CameraParameters, Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.camera_info_file import camera_info_text, read_camera_info, read_description, write_camera_info
 from imgu_ros.files.frame_reading import frame_reading
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import CameraParameters, Parameters
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.camera_reading import read_camera
+from imgu_ros.messages.header import Header
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.vision.camera.camera_covariance import with_covariance

@@ -11,8 +11,6 @@ import pytest
 import yaml
 
 from imgu_ros.bags.messages import make_message
-from imgu_ros.codec.camera_info import camera_description, decode_camera_info
-from imgu_ros.codec.camera_reading import read_camera
 from imgu_ros.errors import FileError
 from imgu_ros.files.camera_info_file import (
     read_calibration,
@@ -20,6 +18,8 @@ from imgu_ros.files.camera_info_file import (
     read_camera_name,
     read_description,
 )
+from imgu_ros.messages.camera_info import camera_description, decode_camera_info
+from imgu_ros.messages.camera_reading import read_camera
 
 K = [438.783367, 0.0, 305.593336, 0.0, 437.302876, 243.738352, 0.0, 0.0, 1.0]
 D = [-0.361976, 0.110510, 0.001014, 0.000505, 0.0]

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.pose_files import AMBIGUOUS_COLUMNS, PoseFiles, seconds_text
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.frame import Frame
+from imgu_ros.result import PoseStatus, Result, Status, TargetResult
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 

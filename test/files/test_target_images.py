@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from PIL import Image as Pillow
 from PIL import ImageDraw, ImageOps
 
+from imgu_ros.config.parameters import TargetsParameters
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.files.images import write_image
 from imgu_ros.files.target_images import load_target_images, name_from_stem
-from imgu_ros.files.webp_structure import is_decoder_safe
-from imgu_ros.params import TargetsParameters
+from imgu_ros.image_files.images import write_image
+from imgu_ros.image_files.webp import is_decoder_safe
 
 WEBP = [".webp"] if is_decoder_safe() else []
 TEXTURE = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)

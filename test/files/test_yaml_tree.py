@@ -8,12 +8,12 @@ import time
 import pytest
 import yaml
 
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import LimitsParameters
+from imgu_ros.config.yaml_values import scalar_value
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.camera_info_file import read_camera_info, read_description
-from imgu_ros.files.parameter_files import read_parameter_file
 from imgu_ros.files.yaml_tree import yaml_tree
-from imgu_ros.files.yaml_values import scalar_value
-from imgu_ros.params import LimitsParameters
 
 
 def test_a_tree_of_texts():

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from imgu_ros.params import Parameters
-from imgu_ros.perception.develop import develop
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import PoseStatus, Result, Stage, Status, TargetMatches, TargetResult
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.frame import Frame
+from imgu_ros.image.development import develop
+from imgu_ros.result import PoseStatus, Result, Stage, Status, TargetMatches, TargetResult
 from imgu_ros.simulate.geometry import image_from_template, target_from_template
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.pose import Pose

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import FileError
-from imgu_ros.files.images import read_image
-from imgu_ros.perception.result import PoseStatus, Status
+from imgu_ros.image_files.images import read_image
 from imgu_ros.report.overlay import STATUS_COLORS, draw_result, write_overlay
+from imgu_ros.result import PoseStatus, Status
 
 
 def _is_color(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:

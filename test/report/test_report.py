@@ -10,11 +10,10 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameter_values
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import FramesWriter
-from imgu_ros.parameter_values import parameter_values
-from imgu_ros.params import Parameters
-from imgu_ros.perception.result import PoseStatus, Result, Status
 from imgu_ros.report import samples as samples_module
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.digits import figures
@@ -33,6 +32,7 @@ from imgu_ros.report.summary import (
     write_summary,
 )
 from imgu_ros.report.table import FrameTable, read_frame_table
+from imgu_ros.result import PoseStatus, Result, Status
 from imgu_ros.simulate.truth import Truth
 
 MakeResult = Callable[..., Result]

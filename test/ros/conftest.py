@@ -215,8 +215,8 @@ class Camera:
         self.send_image(frame, encoding=encoding, **changes)
 
     def send_image(self, frame: Any, **changes: Any) -> None:
-        from imgu_ros.codec.header import Header
-        from imgu_ros.codec.image import image_message
+        from imgu_ros.messages.header import Header
+        from imgu_ros.messages.image import image_message
         from imgu_ros.ros.messages import make_message
 
         image = image_message(make_message, Header(frame.stamp_ns, frame.frame_id), frame.image.pixels, "bayer_rggb8")
@@ -225,8 +225,8 @@ class Camera:
         self._image.publish(image)
 
     def send_info(self, frame: Any, stamp_ns: int, **changes: Any) -> None:
-        from imgu_ros.codec.camera_info import camera_info_message
-        from imgu_ros.codec.header import Header
+        from imgu_ros.messages.camera_info import camera_info_message
+        from imgu_ros.messages.header import Header
         from imgu_ros.ros.messages import make_message
 
         info = camera_info_message(make_message, Header(stamp_ns, frame.frame_id), frame.camera)
@@ -245,9 +245,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     """Four frames of a target half a metre wide."""
     import cv2
 
-    from imgu_ros.parameter_values import parameters_from
-    from imgu_ros.perception.chain import Chain
-    from imgu_ros.perception.targets import TargetImage, prepare_targets
+    from imgu_ros.config.values import parameters_from
+    from imgu_ros.localizer import Localizer
+    from imgu_ros.reference.planar import TargetImage, prepare_targets
     from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
     path = tmp_path_factory.mktemp("world") / "poster.png"
@@ -256,7 +256,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     simulation = Simulation(width=480, height=360, frames=4, seed=3)
     frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [target]))
     parameters = parameters_from({"targets.images": [str(path)], "targets.widths_m": [0.5]})
-    chain = Chain(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    chain = Localizer(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
     results = tuple(chain.process(frame) for frame in frames)
     assert all(result.targets[0].pose is not None for result in results)
     return World(path, frames, results)

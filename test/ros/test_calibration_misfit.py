@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 import pytest
 
-from imgu_ros.codec.results import target_pose_message
-from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.frame import Frame
+from imgu_ros.localizer import Localizer
+from imgu_ros.messages.results import target_pose_message
+from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import arrange_scene
@@ -52,7 +52,7 @@ def oblique(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Frame]
 def test_it_is_said_once_and_goes_into_the_covariance(oblique: Any, imgu: Any, peer: Any, make_camera: Any) -> None:
     path, frames = oblique
     parameters = Parameters()
-    chain = Chain(
+    chain = Localizer(
         parameters, prepare_targets([TargetImage("poster", cv2.imread(str(path))[:, :, ::-1], 0.5)], parameters)
     )
     results = [chain.process(frame) for frame in frames]

@@ -18,10 +18,10 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from imgu_ros.cli.main import main
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.results import target_pose_message
 from imgu_ros.files.camera_info_file import camera_info_text
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.results import target_pose_message
 from imgu_ros.ros.messages import make_message
 from imgu_ros.vision.camera.intrinsics import make_camera as camera_of
 

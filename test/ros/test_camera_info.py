@@ -12,16 +12,16 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.features import decode_homographies, homographies_message, matches_message
-from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.codec.image import image_message
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.perception.result import PoseStatus, Status, TargetMatches
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.config.values import parameters_from
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.features import decode_homographies, homographies_message, matches_message
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.messages.image import image_message
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.result import PoseStatus, Status, TargetMatches
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.stage_input import StageJob
 from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
+from imgu_ros.ros.stages.input import StageJob
 from imgu_ros.ros.stages.pose import PoseStage
 from imgu_ros.vision.matching.matches import Matches
 
@@ -166,6 +166,6 @@ def test_stages(world, changes, says):
 
 
 def _pixels(world: Any) -> np.ndarray:
-    from imgu_ros.files.images import read_image
+    from imgu_ros.image_files.images import read_image
 
     return read_image(world.target)

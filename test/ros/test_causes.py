@@ -16,9 +16,9 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 
 from std_srvs.srv import SetBool
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import image_message
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import image_message
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.qos import image_qos, latched_qos
 

@@ -14,9 +14,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import decode_image, image_message
-from imgu_ros.params import LimitsParameters
+from imgu_ros.config.parameters import LimitsParameters
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import decode_image, image_message
 from imgu_ros.ros import input as input_module
 from imgu_ros.ros.cause import Kind
 from imgu_ros.ros.input import ImageInput, input_topics

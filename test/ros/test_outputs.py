@@ -17,14 +17,14 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.codec.geometry import decode_tf_message, tf_message
+from imgu_ros.config.parameters import declaration, declarations
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import declaration, declarations
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.frame_tree import StampedTransform
-from imgu_ros.perception.result import PoseStatus, Result, Status, TargetResult
-from imgu_ros.ros import map_tie
+from imgu_ros.frame import Frame
+from imgu_ros.messages.geometry import decode_tf_message, tf_message
+from imgu_ros.pose.frame_tree import StampedTransform
+from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.ros import map_to_root as map_tie
 from imgu_ros.ros.messages import _fields, make_message, message_class
 from imgu_ros.ros.outputs import Outputs
 from imgu_ros.vision.camera.pose import Pose

@@ -16,12 +16,12 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.parameters import Declaration, Parameters, declarations
+from imgu_ros.config.values import parameter_values, parameters_from
 from imgu_ros.errors import ParameterError
 from imgu_ros.files.camera_info_file import camera_info_text
 from imgu_ros.files.frame_reading import frame_reading
-from imgu_ros.files.parameter_files import read_parameter_file
-from imgu_ros.parameter_values import parameter_values, parameters_from
-from imgu_ros.params import Declaration, Parameters, declarations
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.vision.camera.intrinsics import make_camera as camera_of
 

@@ -19,10 +19,10 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from imgu_ros.cli.main import main
-from imgu_ros.codec.features import decode_homographies
-from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.codec.image import decode_image
-from imgu_ros.codec.results import target_odometry_message, target_pose_message
+from imgu_ros.messages.features import decode_homographies
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.messages.image import decode_image
+from imgu_ros.messages.results import target_odometry_message, target_pose_message
 from imgu_ros.ros.messages import make_message, message_class
 
 IMAGE = "sensor_msgs/msg/Image"

@@ -19,15 +19,15 @@ import cv2
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.header import Header, decode_header, header_message
-from imgu_ros.codec.image import image_message
-from imgu_ros.codec.results import target_pose_message
+from imgu_ros.config.parameters import LimitsParameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import LimitsParameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.localizer import Localizer
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.header import Header, decode_header, header_message
+from imgu_ros.messages.image import image_message
+from imgu_ros.messages.results import target_pose_message
+from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.ros import middleware, player
 from imgu_ros.ros.messages import make_message as make_ros_message
 from imgu_ros.ros.messages import message_class
@@ -200,7 +200,7 @@ def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path, prompt_s):
             bag.write("/cam/image_raw", image, frame.stamp_ns)
             bag.write("/cam/camera_info", camera_info_message(make_message, header, frame.camera), frame.stamp_ns)
     parameters = parameters_from({"targets.images": ["poster.png"], "targets.widths_m": [0.5]})
-    chain = Chain(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    chain = Localizer(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
     results = [chain.process(frame) for frame in frames]
 
     node = imgu(

@@ -9,11 +9,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ShapeError
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception.building import Built, build
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.localizer_builder import Built, build
+from imgu_ros.reference.planar import TargetImage
 from imgu_ros.ros import rebuilding
 from imgu_ros.ros.rebuilding import Rebuilder
 from imgu_ros.simulate.texture import procedural_texture

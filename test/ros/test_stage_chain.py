@@ -14,28 +14,29 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.features import decode_estimates, decode_keypoints, decode_target_matches
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import image_message
-from imgu_ros.codec.results import FRAME_OUTPUTS, level_message
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
+from imgu_ros.detect import robust_fit as locating
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.params import Parameters
-from imgu_ros.perception import locating, target_features
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result, Status
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.frame import Frame
+from imgu_ros.localizer import Localizer
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.features import decode_estimates, decode_keypoints, decode_target_matches
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import image_message
+from imgu_ros.messages.results import FRAME_OUTPUTS, level_message
+from imgu_ros.reference import features as target_features
+from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.result import Result, Status
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.stage import Stage
-from imgu_ros.ros.stage_input import StageJob
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO, DemosaicStage
 from imgu_ros.ros.stages.features import FeaturesStage
 from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
+from imgu_ros.ros.stages.input import StageJob
 from imgu_ros.ros.stages.matcher import MatcherStage
 from imgu_ros.ros.stages.pose import PoseStage
 from imgu_ros.ros.stages.pyramid import LEVELS_INFO, PyramidStage
+from imgu_ros.ros.stages.stage import Stage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, default_targets, simulate_sequence
 from imgu_ros.vision.camera.intrinsics import DistortionModel, make_camera
 
@@ -98,7 +99,7 @@ class Six:
 
 def compared(parameters: Parameters, images: list[TargetImage], frames: list[Frame]) -> list[float]:
     """Return the differences of the corners, px, between the six stages and the chain, for targets that are found."""
-    chain, six = Chain(parameters, prepare_targets(images, parameters)), Six(parameters, images)
+    chain, six = Localizer(parameters, prepare_targets(images, parameters)), Six(parameters, images)
     differences = []
     for frame in frames:
         expected = chain.process(frame)

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.codec.header import Header, decode_header, header_message
-from imgu_ros.params import LimitsParameters
-from imgu_ros.ros import stage_input
+from imgu_ros.config.parameters import LimitsParameters
+from imgu_ros.messages.header import Header, decode_header, header_message
+from imgu_ros.ros.frame_queue import FrameQueue
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.qos import output_qos
-from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, Feed, StageInput, StageJob, StageTopics
+from imgu_ros.ros.stages import input as stage_input
+from imgu_ros.ros.stages.input import CAMERA_INFO_TYPE, Feed, StageInput, StageJob, StageTopics
 from imgu_ros.ros.standstill import Standstill
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -49,7 +49,7 @@ class Rig:
 
     def __init__(self, camera_info: str = "", b_may_lack: bool = False) -> None:
         self.node = Node()
-        self.slot: NewestSlot[StageJob] = NewestSlot(patience_s=1e9)
+        self.slot: FrameQueue[StageJob] = FrameQueue(patience_s=1e9)
         feeds = tuple(Feed(name, f"/{name}", CLOUD, output_qos()) for name in "ab")
         complete = lambda got, absent: "a" in got and ("b" in got or (b_may_lack and "b" in absent))  # noqa: E731
         topics = StageTopics(feeds, camera_info)

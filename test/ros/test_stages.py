@@ -19,16 +19,16 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import SetBool, Trigger
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.features import decode_estimates
-from imgu_ros.codec.header import Header, decode_header
-from imgu_ros.codec.image import image_message
-from imgu_ros.codec.results import target_odometry_message, target_pose_message
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result, Status
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.config.values import parameters_from
+from imgu_ros.frame import Frame
+from imgu_ros.localizer import Localizer
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.features import decode_estimates
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.messages.image import image_message
+from imgu_ros.messages.results import target_odometry_message, target_pose_message
+from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.result import Result, Status
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.qos import image_qos
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
@@ -71,7 +71,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     path = folder / "poster.png"
     cv2.imwrite(str(path), image.pixels[:, :, ::-1])
     parameters = parameters_from({**OFF, "targets.images": [str(path)], "targets.widths_m": [0.3]})
-    chain = Chain(parameters, prepare_targets([TargetImage("poster", image.pixels, 0.3)], parameters))
+    chain = Localizer(parameters, prepare_targets([TargetImage("poster", image.pixels, 0.3)], parameters))
     simulation = Simulation(width=SIZE[0], height=SIZE[1], frames=FRAMES, seed=5)
     frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [image]))
     results = tuple(chain.process(frame) for frame in frames)

@@ -11,8 +11,8 @@ pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is not installed")
 
 from scipy.spatial.transform import Rotation
 
-from imgu_ros.codec.geometry import decode_tf_message, tf_message
-from imgu_ros.perception.frame_tree import StampedTransform
+from imgu_ros.messages.geometry import decode_tf_message, tf_message
+from imgu_ros.pose.frame_tree import StampedTransform
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.qos import latched_qos
 from imgu_ros.vision.camera.rigid import RigidTransform

@@ -13,10 +13,10 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.compressed_image import compressed_image_message, decode_compressed_image
-from imgu_ros.codec.features import decode_homographies
-from imgu_ros.codec.header import Header, decode_header
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.compressed_image import compressed_image_message, decode_compressed_image
+from imgu_ros.messages.features import decode_homographies
+from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.qos import image_qos
 

@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from imgu_ros.codec.header import decode_header
+from imgu_ros.messages.header import decode_header
 from imgu_ros.ros.qos import image_qos
 
 pytestmark = pytest.mark.soak
@@ -132,7 +132,7 @@ def test_after_a_stop_fresh_frames_are_served_first(imgu, world, peer, make_came
 
 SLOW = """
 import sys, time
-from imgu_ros.perception.chain import Chain
+from imgu_ros.localizer import Chain
 process = Chain.process
 def slow(chain, frame, *rest, **more):
     time.sleep(3.5)

@@ -14,19 +14,19 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.codec.camera_info import camera_info_message
-from imgu_ros.codec.header import Header
-from imgu_ros.codec.image import image_message
+from imgu_ros.config.values import parameters_from
 from imgu_ros.files.camera_info_file import camera_info_text
-from imgu_ros.parameter_values import parameters_from
-from imgu_ros.perception import target_features
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result, Status
-from imgu_ros.perception.targets import TargetImage
+from imgu_ros.frame import Frame
+from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.header import Header
+from imgu_ros.messages.image import image_message
+from imgu_ros.reference import features as target_features
+from imgu_ros.reference.planar import TargetImage
+from imgu_ros.result import Result, Status
 from imgu_ros.ros import worker as worker_module
+from imgu_ros.ros.frame_queue import FrameQueue
 from imgu_ros.ros.input import Job
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.newest import NewestSlot
 from imgu_ros.ros.worker import Handlers, Worker
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
@@ -39,7 +39,7 @@ class Running:
         self.results: list[Result] = []
         self.failures: list[str] = []
         self._came = threading.Event()
-        self._slot: NewestSlot[Job] = NewestSlot()
+        self._slot: FrameQueue[Job] = FrameQueue()
         handlers = Handlers(self._on_result, lambda _: None, self.failures.append, lambda: False)
         self.worker = Worker(self._slot, lambda: self.parameters, handlers)
         self.worker.use(self.worker.build(images))

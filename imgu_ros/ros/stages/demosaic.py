@@ -7,22 +7,22 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from imgu_ros.codec.header_checks import HeaderChecks
-from imgu_ros.codec.reduced_info import Covered, reduced_info_message
-from imgu_ros.codec.results import picture_message, result_header
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.detect.features import plain_picture
 from imgu_ros.errors import ImguError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.development import develop_frame
-from imgu_ros.perception.features import plain_picture
-from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.result import Result
+from imgu_ros.image.frame_development import develop_frame
+from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.messages.header_checks import HeaderChecks
+from imgu_ros.messages.reduced_info import Covered, reduced_info_message
+from imgu_ros.messages.results import picture_message, result_header
+from imgu_ros.result import Result
 from imgu_ros.ros.input import input_topics
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.qos import image_qos
-from imgu_ros.ros.stage import IMAGE_TYPE, Stage
-from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, Feed, StageJob, StageTopics
-from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stages.input import CAMERA_INFO_TYPE, Feed, StageJob, StageTopics
+from imgu_ros.ros.stages.node import run_stage
+from imgu_ros.ros.stages.stage import IMAGE_TYPE, Stage
 from imgu_ros.ros.stopping import StopSignal
 
 REDUCED = "reduced/image_mono"
@@ -75,10 +75,10 @@ class DemosaicStage(Stage):
         result = Result(frame, (), developed=development.developed)
         # Before the others: it is made straight from the mosaic, as long as nobody has asked for more.
         if outputs.listened(REDUCED) or outputs.listened(REDUCED_INFO):
-            self._publish_reduced(result, Pictures(development.developed), outputs)
+            self._publish_reduced(result, GreyPyramid(development.developed), outputs)
         outputs.publish(result)
 
-    def _publish_reduced(self, result: Result, pictures: Pictures, outputs: Outputs) -> None:
+    def _publish_reduced(self, result: Result, pictures: GreyPyramid, outputs: Outputs) -> None:
         reduced = plain_picture(pictures, self.parameters)
         height, width = pictures.shape
         covered = Covered(*(int(side) for side in reduced.full_size))

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from imgu_ros.codec.header import decode_header
-from imgu_ros.codec.image import decode_image
-from imgu_ros.codec.reduced_info import Covered, decode_covered
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.detect.features import Reduced, described_features, frame_pyramid
 from imgu_ros.errors import EncodingError, ImguError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.clock import StageClock
-from imgu_ros.perception.features import Reduced, described_features, frame_pyramid
-from imgu_ros.perception.result import Result
+from imgu_ros.messages.header import decode_header
+from imgu_ros.messages.image import decode_image
+from imgu_ros.messages.reduced_info import Covered, decode_covered
+from imgu_ros.result import Result
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import Stage, frame_without_image, picture_feed, reduced_info_beside
-from imgu_ros.ros.stage_input import StageJob, StageTopics
-from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.pyramid import LEVELS, LEVELS_INFO
+from imgu_ros.ros.stages.stage import Stage, frame_without_image, picture_feed, reduced_info_beside
 from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Image
 from imgu_ros.vision.scale_space.pyramid import Level, Pyramid
 

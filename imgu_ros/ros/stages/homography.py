@@ -10,26 +10,27 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from imgu_ros.codec.camera_reading import CameraReading
-from imgu_ros.codec.features import decode_target_matches, matches_message
-from imgu_ros.codec.header import decode_header
-from imgu_ros.codec.image import decode_image
-from imgu_ros.codec.reduced_info import image_size
+from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
+from imgu_ros.detect.detector import while_promising
+from imgu_ros.detect.features import reduction_of
+from imgu_ros.detect.robust_fit import Sight, draws, located
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.params import DemosaicParameters, Parameters, RawParameters
-from imgu_ros.perception.clock import StageClock
-from imgu_ros.perception.develop import develop
-from imgu_ros.perception.features import reduction_of
-from imgu_ros.perception.locating import Sight, draws, located
-from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.posing import Located, posed
-from imgu_ros.perception.reasons import no_matches
-from imgu_ros.perception.result import PoseStatus, Result, Status, TargetMatches, TargetResult
-from imgu_ros.perception.seeking import while_promising
-from imgu_ros.perception.targets import Target, TargetImage
+from imgu_ros.image.development import develop
+from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.messages.camera_reading import CameraReading
+from imgu_ros.messages.features import decode_target_matches, matches_message
+from imgu_ros.messages.header import decode_header
+from imgu_ros.messages.image import decode_image
+from imgu_ros.messages.reduced_info import image_size
+from imgu_ros.pose.planar_pose import Located, posed
+from imgu_ros.reasons import no_matches
+from imgu_ros.reference.planar import Target, TargetImage
+from imgu_ros.result import PoseStatus, Result, Status, TargetMatches, TargetResult
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import (
+from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.node import run_stage
+from imgu_ros.ros.stages.stage import (
     CLOUD_TYPE,
     TargetStage,
     camera_info_beside,
@@ -38,9 +39,8 @@ from imgu_ros.ros.stage import (
     picture_feed,
     unusable,
 )
-from imgu_ros.ros.stage_input import StageJob, StageTopics
-from imgu_ros.ros.stage_node import run_stage
 from imgu_ros.ros.stopping import StopSignal
+from imgu_ros.stage_clock import StageClock
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.matches import Matches
 
@@ -125,7 +125,7 @@ class HomographyStage(TargetStage):
         pictures = None
         if _PICTURE in job.messages:
             developed = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
-            pictures = Pictures(developed)
+            pictures = GreyPyramid(developed)
             height, width = pictures.shape
         elif job.camera_info is not None:
             size = image_size(job.camera_info)

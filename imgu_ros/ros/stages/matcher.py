@@ -8,17 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 from rclpy.node import Node
 
-from imgu_ros.codec.features import decode_keypoints
-from imgu_ros.codec.header import decode_header
+from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.detect.detector import ReferenceDetector
 from imgu_ros.errors import EncodingError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.parts import Parts
-from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
-from imgu_ros.perception.seeking import Seeker
+from imgu_ros.messages.features import decode_keypoints
+from imgu_ros.messages.header import decode_header
+from imgu_ros.result import Result, Status, TargetMatches, TargetResult
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import TargetStage, cloud_feed, frame_without_image
-from imgu_ros.ros.stage_input import StageJob, StageTopics
-from imgu_ros.ros.stage_node import run_stage
+from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.node import run_stage
+from imgu_ros.ros.stages.stage import TargetStage, cloud_feed, frame_without_image
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.matches import Matches
@@ -38,14 +38,14 @@ class MatcherStage(TargetStage):
     takes = (_IN,)
     choice = Choice(lambda topic: topic == "matches", {})
     needs_features = True
-    _seeker: Seeker | None = None
+    _seeker: ReferenceDetector | None = None
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
         return StageTopics((cloud_feed(node, _IN),))
 
-    def _prepare(self, parameters: Parameters, parts: Parts) -> None:
-        self._seeker = Seeker(self.targets, parameters, parts)
+    def _prepare(self, parameters: Parameters, parts: BuildCache) -> None:
+        self._seeker = ReferenceDetector(self.targets, parameters, parts)
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""

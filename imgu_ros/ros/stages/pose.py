@@ -7,31 +7,31 @@ from collections.abc import Mapping, Sequence, Set
 
 from rclpy.node import Node
 
-from imgu_ros.codec.camera_reading import CameraReading
-from imgu_ros.codec.features import decode_calibrated, decode_estimates, decode_sharp, decode_target_matches
-from imgu_ros.codec.header import decode_header
-from imgu_ros.codec.results import result_status_message
+from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EstimationError
-from imgu_ros.params import Parameters
-from imgu_ros.perception.calibration_check import CalibrationCheck
-from imgu_ros.perception.chain import JUMP_NS
-from imgu_ros.perception.parts import Parts
-from imgu_ros.perception.posing import Located, posed
-from imgu_ros.perception.reasons import no_homography, no_pose
-from imgu_ros.perception.result import Result, Status, TargetMatches, TargetResult
-from imgu_ros.perception.size_checks import SizeChecks
+from imgu_ros.localizer import JUMP_NS
+from imgu_ros.messages.camera_reading import CameraReading
+from imgu_ros.messages.features import decode_calibrated, decode_estimates, decode_sharp, decode_target_matches
+from imgu_ros.messages.header import decode_header
+from imgu_ros.messages.results import result_status_message
+from imgu_ros.pose.calibration_check import CalibrationCheck
+from imgu_ros.pose.planar_pose import Located, posed
+from imgu_ros.reasons import no_homography, no_pose
+from imgu_ros.reference.size_checks import SizeChecks
+from imgu_ros.result import Result, Status, TargetMatches, TargetResult
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import (
+from imgu_ros.ros.stages.homography import INLIERS
+from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.node import run_stage
+from imgu_ros.ros.stages.stage import (
     TargetStage,
     camera_info_beside,
     cloud_feed,
     frame_without_image,
     unusable,
 )
-from imgu_ros.ros.stage_input import StageJob, StageTopics
-from imgu_ros.ros.stage_node import run_stage
-from imgu_ros.ros.stages.homography import INLIERS
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.vision.projective.homography import HomographyEstimate
 
@@ -64,7 +64,7 @@ class PoseStage(TargetStage):
         self._last_ns: int | None = None
         self._sizes = SizeChecks(())
 
-    def _prepare(self, parameters: Parameters, parts: Parts) -> None:
+    def _prepare(self, parameters: Parameters, parts: BuildCache) -> None:
         self._sizes = SizeChecks(self.targets)
 
     def reset(self) -> None:

@@ -8,20 +8,20 @@ from collections.abc import Sequence
 import numpy as np
 from rclpy.node import Node
 
-from imgu_ros.codec.frame import decode_frame
-from imgu_ros.codec.reduced_info import Covered, decode_covered, reduced_info_from, reduced_info_message
-from imgu_ros.codec.results import result_header
-from imgu_ros.params import DemosaicParameters, Parameters, RawParameters
-from imgu_ros.perception.develop import develop
-from imgu_ros.perception.features import Reduced, frame_pyramid, reduced_picture
-from imgu_ros.perception.pictures import Pictures
-from imgu_ros.perception.result import Result
+from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
+from imgu_ros.detect.features import Reduced, frame_pyramid, reduced_picture
+from imgu_ros.image.development import develop
+from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.messages.frame import decode_frame
+from imgu_ros.messages.reduced_info import Covered, decode_covered, reduced_info_from, reduced_info_message
+from imgu_ros.messages.results import result_header
+from imgu_ros.result import Result
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stage import Stage, picture_feed, reduced_info_beside
-from imgu_ros.ros.stage_input import CAMERA_INFO_TYPE, StageJob, StageTopics
-from imgu_ros.ros.stage_node import run_stage
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO
+from imgu_ros.ros.stages.input import CAMERA_INFO_TYPE, StageJob, StageTopics
+from imgu_ros.ros.stages.node import run_stage
+from imgu_ros.ros.stages.stage import Stage, picture_feed, reduced_info_beside
 from imgu_ros.ros.stopping import StopSignal
 
 LEVELS = "pyramid/level_"
@@ -53,7 +53,7 @@ class PyramidStage(Stage):
         height, width = developed.shape
         size = Covered(width, height)
         shown = size if job.camera_info is None else decode_covered(job.camera_info, size)
-        base = reduced_picture(Pictures(developed), self.parameters)
+        base = reduced_picture(GreyPyramid(developed), self.parameters)
         full_size = base.full_size * (shown.width, shown.height) / (width, height)
         pyramid = frame_pyramid(Reduced(base.image, full_size), self.parameters)
         result = Result(frame, (), developed=developed, pyramid=pyramid)

@@ -26,7 +26,7 @@ from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
-from imgu_ros.vision.projective.condensed import CondensedHomography
+from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations
 from imgu_ros.vision.projective.transform import inverse3
 
 #: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
@@ -54,7 +54,7 @@ _BY_K[(0, 1, 2, 3), (0, 1, 0, 1), (0, 1, 2, 2)] = 1
 
 
 def poses_of_homography(
-    homography: CondensedHomography,
+    homography: HomographyNormalEquations,
     K: ArrayLike,
     plane_from_src: ArrayLike,
     camera: Camera | None = None,
@@ -97,7 +97,7 @@ def poses_of_homography(
     """
     if not isinstance(camera, Camera | None):
         raise ShapeError(f"camera: {shown_value(camera)}; need a Camera, or None")
-    require_type(homography, CondensedHomography, "homography")
+    require_type(homography, HomographyNormalEquations, "homography")
     K = as_matrix(K, (3, 3), "K")
     src_from_plane = inverse3(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
     problem = _PoseOfHomography(homography, K, src_from_plane)
@@ -130,7 +130,7 @@ def poses_of_homography(
 class _PoseOfHomography:
     """Residuals (8, 1) of the homography that a pose, (4, 4) camera_from_plane, gives, weighed as its points would."""
 
-    def __init__(self, homography: CondensedHomography, K: Matrix3, src_from_plane: Matrix3) -> None:
+    def __init__(self, homography: HomographyNormalEquations, K: Matrix3, src_from_plane: Matrix3) -> None:
         self._homography = homography
         # H = A [r1 r2 t] M^-1, so that vec H = (A x M^-T) vec [r1 r2 t], row-major.
         M_inverse = inverse3(homography.T_src @ src_from_plane, "plane_from_src")

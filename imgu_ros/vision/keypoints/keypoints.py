@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,3 +97,11 @@ def _as_choice(which: ArrayLike, count: int) -> Indices | Mask:
     if len(chosen) and not -count <= int(chosen.min()) <= int(chosen.max()) < count:
         raise ShapeError(f"which: {chosen.min()} to {chosen.max()}; need 0 to {count - 1}")
     return np.asarray(chosen, np.intp)
+
+
+def rounded_to_float32(keypoints: Keypoints) -> Keypoints:
+    """Return keypoints with their positions rounded to float32, as messages carry them.
+
+    A subscriber that estimates a homography from published keypoints then gets the same result, to the last digit.
+    """
+    return replace(keypoints, xy=keypoints.xy.astype(np.float32).astype(np.float64))

@@ -22,7 +22,7 @@ from imgu_ros.arguments import shown_value
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_matrix
 from imgu_ros.vision.estimation.covariance import window_correlation
-from imgu_ros.vision.matching.sheet import Sheet
+from imgu_ros.vision.matching.patch_atlas import PatchAtlas
 from imgu_ros.vision.projective.increments import PlaneMotion
 
 #: Grey levels (standard deviation) below which a patch has no contrast.
@@ -58,7 +58,7 @@ class Displacements:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LocalBend:
+class LocalDistortion:
     """How a lens bends the plane of the picture about N points.
 
     Attributes
@@ -133,8 +133,8 @@ class Patches:
         self,
         picture: Image,
         H: Matrix3,
-        bend: LocalBend | None = None,
-        sheet: Sheet | None = None,
+        bend: LocalDistortion | None = None,
+        sheet: PatchAtlas | None = None,
         first: int | None = None,
     ) -> Image:
         """Sample another picture where the patches should be in it, bilinearly.
@@ -164,7 +164,7 @@ class Patches:
             first = len(self.chosen)
         elif not (isinstance(first, int | np.integer) and first is not True and 0 <= first <= len(self.chosen)):
             raise ShapeError(f"first: {shown_value(first)}; need 0 to {len(self.chosen)}")
-        if not isinstance(bend, LocalBend | None) or not isinstance(sheet, Sheet | None):
+        if not isinstance(bend, LocalDistortion | None) or not isinstance(sheet, PatchAtlas | None):
             raise ShapeError(
                 f"bend, sheet: {shown_value(bend)}, {shown_value(sheet)}; need a LocalBend or None, a Sheet or None"
             )
@@ -189,7 +189,7 @@ class Patches:
         return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     def _numerators(
-        self, H: Matrix3, first: int, bend: LocalBend | None, sheet: Sheet | None
+        self, H: Matrix3, first: int, bend: LocalDistortion | None, sheet: PatchAtlas | None
     ) -> tuple[NDArray[np.float32], bool]:
         """Return the homogeneous places of the `first` patches' pixels as what is linear in (1, offset x, offset y).
 
@@ -289,7 +289,7 @@ def as_grey(image: Image, name: str) -> Image:
     return image
 
 
-def _plain_bend(bend: LocalBend, count: int) -> tuple[Points, Points, Floats]:
+def _plain_bend(bend: LocalDistortion, count: int) -> tuple[Points, Points, Floats]:
     """Return a bend's arrays, checked.
 
     Raises

@@ -17,7 +17,7 @@ A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_
 | `estimate` | `estimate_homography`: the same by sample consensus | matches with wrong ones among them |
 | `increments` | `PlaneMotion.fit`: the small motion that most displacements agree on | patches were aligned |
 | `logarithm` | of a homography: the motion's velocity, any share of it | a motion is to go on |
-| `condensed` | `condensed_homography`: H and all that its displacements tell, in two 8x8 matrices | a pose is to be fitted next |
+| `condensed` | `homography_normal_equations`: H and all that its displacements tell, in two 8x8 matrices | a pose is to be fitted next |
 
 Points are `(N, 2)`, or homogeneous `(N, 3)` where infinity is allowed; lines `(N, 3)`. What is homogeneous is returned
 at a fixed scale, so that equal things are equal arrays. Angles turn x towards y: clockwise as seen in an image.
@@ -32,7 +32,6 @@ Sources: notes 6.1 to 6.5, 7.2, 7.3; Hartley & Zisserman 2004 ("HZ"), chapters 2
 """  # noqa: E501
 
 from imgu_ros.vision.projective.checks import Pairs, checked_pairs, finite
-from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.cross_ratio import cross_ratio, cross_ratio_of_lines
 from imgu_ros.vision.projective.decomposition import (
     AffineParts,
@@ -57,6 +56,7 @@ from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 from imgu_ros.vision.projective.minimal import HomographyModel
 from imgu_ros.vision.projective.misfit import smooth_misfit
+from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
 from imgu_ros.vision.projective.points_and_lines import (
     cartesian,
     homogeneous,
@@ -105,11 +105,11 @@ from imgu_ros.vision.projective.transformations import (
 
 __all__ = [
     "AffineParts",
-    "CondensedHomography",
     "CorrectedPoints",
     "HomographyError",
     "HomographyEstimate",
     "HomographyModel",
+    "HomographyNormalEquations",
     "HomographyParts",
     "Invariant",
     "Motion",
@@ -130,7 +130,6 @@ __all__ = [
     "classify",
     "cofactors",
     "compose",
-    "condensed_homography",
     "corrected_points",
     "cross_ratio",
     "cross_ratio_of_lines",
@@ -147,6 +146,7 @@ __all__ = [
     "homogeneous",
     "homography_dlt",
     "homography_inhomogeneous",
+    "homography_normal_equations",
     "inverse",
     "inverse3",
     "join",

@@ -15,8 +15,8 @@ from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses, weighe
 from imgu_ros.vision.camera.plane_view import plane_homography
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rotation import exp_so3
-from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.increments import PlaneMotion
+from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
 
 Generator = np.random.Generator
 
@@ -33,9 +33,11 @@ def view() -> np.ndarray:
     return plane_homography(K(), exp_so3([2.6, 0.3, 0.1]), [0.05, -0.02, 0.6])
 
 
-def condensed(displacements: Points, H: Matrix3) -> CondensedHomography:
+def condensed(displacements: Points, H: Matrix3) -> HomographyNormalEquations:
     motions = PlaneMotion(POINTS)
-    return condensed_homography(motions, displacements, motions.fit(displacements, np.ones(12, bool)), H, np.eye(3))
+    return homography_normal_equations(
+        motions, displacements, motions.fit(displacements, np.ones(12, bool)), H, np.eye(3)
+    )
 
 
 def noise(rng: Generator) -> Points:

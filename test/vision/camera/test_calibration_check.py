@@ -22,8 +22,8 @@ from imgu_ros.vision.camera.pose_estimate import fit_pose
 from imgu_ros.vision.camera.pose_fusion import fuse_poses
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
-from imgu_ros.vision.projective.condensed import condensed_homography
 from imgu_ros.vision.projective.increments import PlaneMotion
+from imgu_ros.vision.projective.normal_equations import homography_normal_equations
 from imgu_ros.vision.projective.transform import transform
 
 K = np.array([[935.0, 0, 655], [0, 920, 350], [0, 0, 1]])
@@ -134,7 +134,9 @@ METRES = np.array([[0.001, 0, -0.25], [0, -0.001, 0.2], [0, 0, 1]])
 def posed_from(ideal: Points, pixels: Points, start: Floats, camera: Camera, asked: Camera | None) -> PlanarPoses:
     """Return the poses of a homography that maps `pixels` of a picture to `ideal` ones, near `start`."""
     motions, moved = PlaneMotion(pixels), pixels - transform(np.linalg.inv(start), ideal)
-    condensed = condensed_homography(motions, moved, motions.fit(moved, np.ones(len(pixels), bool)), start, np.eye(3))
+    condensed = homography_normal_equations(
+        motions, moved, motions.fit(moved, np.ones(len(pixels), bool)), start, np.eye(3)
+    )
     assert condensed.estimate.inliers.all()
     return poses_of_homography(condensed, camera.K, METRES, asked, pixels)
 

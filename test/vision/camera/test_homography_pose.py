@@ -15,8 +15,8 @@ from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.ippe import poses_about_point
 from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
-from imgu_ros.vision.projective.condensed import condensed_homography
 from imgu_ros.vision.projective.increments import PlaneMotion
+from imgu_ros.vision.projective.normal_equations import homography_normal_equations
 from imgu_ros.vision.projective.transform import transform
 
 K = np.array([[900.0, 0, 640.0], [0, 910.0, 350.0], [0, 0, 1]])
@@ -39,7 +39,7 @@ def estimated(H: np.ndarray, noise: np.ndarray) -> PlanarPoses:
     """From displacements of the picture's points, looked for by the true homography."""
     motions = PlaneMotion(PX)
     motion = motions.fit(noise, np.ones(len(PX), bool))
-    return poses_of_homography(condensed_homography(motions, noise, motion, H, np.eye(3)), K, METRES)
+    return poses_of_homography(homography_normal_equations(motions, noise, motion, H, np.eye(3)), K, METRES)
 
 
 turns = st.tuples(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(-3.0, 3.0)).map(np.array)

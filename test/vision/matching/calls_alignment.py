@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.types import Image, Indices, Points
-from imgu_ros.vision.matching.alignment import Displacements, LocalBend, Patches, as_grey
+from imgu_ros.vision.matching.alignment import Displacements, LocalDistortion, Patches, as_grey
+from imgu_ros.vision.matching.blur_gain import BlurGain
+from imgu_ros.vision.matching.patch_atlas import PatchAtlas
 from imgu_ros.vision.matching.patch_bank import PatchBank
-from imgu_ros.vision.matching.response import Response
-from imgu_ros.vision.matching.sheet import Sheet
 
 CENTRES = np.array([[10.0, 10.0], [20.0, 12.0], [15.0, 22.0], [25.0, 24.0]])
 ORIGINS = np.array([[2.0, 2.0], [12.0, 4.0], [6.0, 14.0], [16.0, 16.0]])
@@ -36,20 +36,20 @@ def selected(image: Image, centres: Points, chosen: Indices, picture: Image, H: 
 
 
 def bent(some: Patches, straight: Points, bent: Points, by_straight: np.ndarray, picture: Image) -> Image:
-    return some.sampled(picture, np.eye(3), LocalBend(straight, bent, by_straight))
+    return some.sampled(picture, np.eye(3), LocalDistortion(straight, bent, by_straight))
 
 
 def cut_and_sampled(origins: Points, image: Image, H: np.ndarray) -> Image:
-    sheet = Sheet(origins, 16)
+    sheet = PatchAtlas(origins, 16)
     return patches(np.random.default_rng(1)).sampled(sheet.cut(image), H, sheet=sheet)
 
 
 def from_a_sheet(some: Patches, sheet_picture: Image, H: np.ndarray) -> Image:
-    return some.sampled(sheet_picture, H, sheet=Sheet(ORIGINS, 16), first=3)
+    return some.sampled(sheet_picture, H, sheet=PatchAtlas(ORIGINS, 16), first=3)
 
 
 def learned(applied: Points, change: Points, measured: Points) -> Points:
-    response = Response()
+    response = BlurGain()
     response.learn(applied, change)
     return response.corrected(measured)
 
@@ -81,12 +81,12 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     cut_and_sampled: lambda rng: {"origins": ORIGINS.copy(), "image": picture(rng, np.float32), "H": homography()},
     from_a_sheet: lambda rng: {
         "some": patches(rng),
-        "sheet_picture": Sheet(ORIGINS, 16).cut(picture(rng)),
+        "sheet_picture": PatchAtlas(ORIGINS, 16).cut(picture(rng)),
         "H": homography(),
     },
-    Response.learn: lambda rng: {"self": Response(), "applied": small(rng), "change": small(rng)},
-    Response.corrected: lambda rng: {"self": Response(), "measured": small(rng)},
+    BlurGain.learn: lambda rng: {"self": BlurGain(), "applied": small(rng), "change": small(rng)},
+    BlurGain.corrected: lambda rng: {"self": BlurGain(), "measured": small(rng)},
     learned: lambda rng: {"applied": small(rng), "change": small(rng), "measured": small(rng)},
-    Sheet: lambda rng: {"origins": ORIGINS.copy(), "side": 16},
-    Sheet.cut: lambda rng: {"self": Sheet(ORIGINS, 16), "picture": picture(rng)},
+    PatchAtlas: lambda rng: {"origins": ORIGINS.copy(), "side": 16},
+    PatchAtlas.cut: lambda rng: {"self": PatchAtlas(ORIGINS, 16), "picture": picture(rng)},
 }

@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.vision.matching.alignment import LocalBend
+from imgu_ros.vision.matching.alignment import LocalDistortion
+from imgu_ros.vision.matching.patch_atlas import PatchAtlas
 from imgu_ros.vision.matching.patch_bank import PatchBank
-from imgu_ros.vision.matching.sheet import Sheet
 from imgu_ros.vision.projective.transform import transform
 
 SIDE = 160
@@ -100,7 +100,7 @@ def test_a_lens_bends_where_samples_come_from(bank: PatchBank) -> None:
     """A lens that enlarges by 1.1 about (80, 80), told point by point."""
     zoom = np.array([[1.1, 0, -8.0], [0, 1.1, -8.0], [0, 0, 1]])
     patches = bank.select(EVERY)
-    bend = LocalBend(GRID, transform(zoom, GRID), np.tile(1.1 * np.eye(2), (len(GRID), 1, 1)))
+    bend = LocalDistortion(GRID, transform(zoom, GRID), np.tile(1.1 * np.eye(2), (len(GRID), 1, 1)))
     bent = patches.sampled(picture(zoom), np.eye(3), bend)
     assert_allclose(bent, patches.sampled(picture(zoom), zoom), atol=2e-3)
 
@@ -108,7 +108,7 @@ def test_a_lens_bends_where_samples_come_from(bank: PatchBank) -> None:
 def test_a_sheet_of_squares_gives_the_same_samples_as_the_picture(bank: PatchBank) -> None:
     H = np.array([[0.95, -0.1, 8.0], [0.1, 0.95, -6.0], [0, 0, 1]])
     seen_in = np.rint(picture(H) * 255).astype(np.uint8)
-    sheet = Sheet(np.clip(np.rint(transform(H, GRID)) - 12, 0, SIDE - 24), 24)
+    sheet = PatchAtlas(np.clip(np.rint(transform(H, GRID)) - 12, 0, SIDE - 24), 24)
     cut = sheet.cut(seen_in)
     assert cut.shape == (24 * len(GRID), 24)
     x, y = sheet.origins[5]
@@ -132,9 +132,9 @@ def test_what_makes_no_sense_is_refused(bank: PatchBank) -> None:
     with pytest.raises(ShapeError, match="samples"):
         patches.displacements(np.zeros((3, 9), np.uint8))
     with pytest.raises(ShapeError, match="whole px"):
-        Sheet([[0.5, 2.0]], 8)
+        PatchAtlas([[0.5, 2.0]], 8)
     with pytest.raises(ShapeError, match="holds every square"):
-        Sheet([[30, 30]], 8).cut(np.zeros((32, 60), np.uint8))
+        PatchAtlas([[30, 30]], 8).cut(np.zeros((32, 60), np.uint8))
     with pytest.raises(ShapeError, match="at most"):
-        Sheet(np.zeros((5000, 2)), 8)
+        PatchAtlas(np.zeros((5000, 2)), 8)
     assert bank.select(np.zeros(0, np.intp)).sampled(cv2.blur(picture(np.eye(3)), (3, 3)), np.eye(3)).shape == (0, 121)

@@ -9,14 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import ShapeError
+from imgu_ros.vision.matching.blur_gain import BlurGain
 from imgu_ros.vision.matching.patch_bank import PatchBank
-from imgu_ros.vision.matching.response import Response
 
 TRUE = np.array([[0.4, 0.1], [0.1, 0.8]])
 
 
 def test_without_motions_nothing_is_corrected() -> None:
-    response = Response()
+    response = BlurGain()
     measured = np.array([[0.3, -0.2], [1.0, 0.0]])
     assert_allclose(response.corrected(measured), measured)
     response.learn(np.zeros((5, 2)), np.full((5, 2), 0.01))
@@ -26,7 +26,7 @@ def test_without_motions_nothing_is_corrected() -> None:
 
 def test_motions_tell_the_map() -> None:
     rng = np.random.default_rng(1)
-    response = Response()
+    response = BlurGain()
     for _ in range(3):
         applied = rng.normal(0, 0.7, (60, 2))
         response.learn(applied, applied @ TRUE.T + rng.normal(0, 0.1, (60, 2)))
@@ -36,19 +36,19 @@ def test_motions_tell_the_map() -> None:
 
 
 def test_a_motion_along_one_axis_tells_of_that_axis_alone() -> None:
-    response = Response()
+    response = BlurGain()
     applied = np.column_stack((np.full(60, 0.8), np.zeros(60)))
     response.learn(applied, 0.5 * applied)
     assert_allclose(response.matrix, np.diag([0.5, 1.0]), atol=0.02)
 
 
 def test_long_motions_and_absurd_ones_are_bounded() -> None:
-    response = Response()
+    response = BlurGain()
     response.learn(np.full((10, 2), 5.0), np.zeros((10, 2)))
     assert_allclose(response.matrix, np.eye(2))
     response.learn(np.tile([[1.0, 0.0], [0.0, 1.0]], (30, 1)), -np.tile([[1.0, 0.0], [0.0, 1.0]], (30, 1)))
     assert response.weakest >= 0.2 - 1e-12
-    response = Response()
+    response = BlurGain()
     response.learn(np.tile([[1.0, 0.0], [0.0, 1.0]], (30, 1)), 9 * np.tile([[1.0, 0.0], [0.0, 1.0]], (30, 1)))
     assert np.linalg.svd(response.matrix, compute_uv=False).max() <= 1.5 + 1e-12
 
@@ -66,7 +66,7 @@ def test_a_blurred_picture_responds_weakly_and_corrected_displacements_are_true(
         """Displacements where the picture is looked at as if it lay at (x, y); it lies at (0, 0)."""
         return patches.displacements(patches.sampled(blurred, np.array([[1, 0, x], [0, 1, y], [0, 0, 1]]))).xy
 
-    response = Response()
+    response = BlurGain()
     # Seen at (x, y), patches lie at -(x, y): a displacement of (x, y) for each.
     at_first, later = measured(0.6, 0.4), measured(0.1, 0.1)
     response.learn(np.tile([0.5, 0.3], (len(centres), 1)), at_first - later)
@@ -78,6 +78,6 @@ def test_a_blurred_picture_responds_weakly_and_corrected_displacements_are_true(
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ShapeError, match="change"):
-        Response().learn(np.zeros((3, 2)), np.zeros((4, 2)))
+        BlurGain().learn(np.zeros((3, 2)), np.zeros((4, 2)))
     with pytest.raises(ShapeError, match="measured"):
-        Response().corrected(np.zeros((3, 3)))
+        BlurGain().corrected(np.zeros((3, 3)))

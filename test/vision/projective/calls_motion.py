@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.types import Floats, Mask, Matrix3, Points
-from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.fit import unscaled
 from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
+from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
 
 POINTS = np.array([[x + 3.0 * (y == 50), y] for y in (0.0, 50.0, 100.0) for x in (0.0, 40.0, 80.0, 120.0)])
 H = np.array([[1.2, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
@@ -32,17 +32,17 @@ def fitted_twice(displacements: Points, usable: Mask, floor_px: float) -> Motion
     return motions.fit(displacements, usable, floor_px, motions.fit(displacements, usable, floor_px, before))
 
 
-def condensed(displacements: Points, H: Matrix3, from_src: Matrix3, correlation: Floats) -> CondensedHomography:
+def condensed(displacements: Points, H: Matrix3, from_src: Matrix3, correlation: Floats) -> HomographyNormalEquations:
     """Condensed, from a motion that was told by other displacements."""
     motions = PlaneMotion(POINTS)
     start = motions.fit(displaced(np.random.default_rng(0)), np.ones(12, bool))
-    return condensed_homography(motions, displacements, start, H, from_src, correlation)
+    return homography_normal_equations(motions, displacements, start, H, from_src, correlation)
 
 
-def one_left_out(displacements: Points, H: Matrix3, correlation: Floats) -> CondensedHomography:
+def one_left_out(displacements: Points, H: Matrix3, correlation: Floats) -> HomographyNormalEquations:
     motions = PlaneMotion(POINTS)
     start = motions.fit(displaced(np.random.default_rng(0)), np.arange(12) != 5)
-    return condensed_homography(motions, displacements, start, H, np.eye(3), correlation)
+    return homography_normal_equations(motions, displacements, start, H, np.eye(3), correlation)
 
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
@@ -63,7 +63,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     },
     fitted: lambda rng: {"points": POINTS.copy(), "displacements": displaced(rng), "usable": np.ones(12, bool)},
     fitted_twice: lambda rng: {"displacements": displaced(rng), "usable": np.ones(12, bool), "floor_px": 0.1},
-    condensed_homography: lambda rng: {
+    homography_normal_equations: lambda rng: {
         "motions": PlaneMotion(POINTS),
         "displacements": displaced(rng),
         "start": PlaneMotion(POINTS).fit(displaced(rng), np.ones(12, bool)),

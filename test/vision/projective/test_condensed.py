@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.vision.projective.condensed import CondensedHomography, condensed_homography
 from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.increments import PlaneMotion
+from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
 from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.transform import normalised_homography, transform
 
@@ -32,11 +32,11 @@ def displaced(points: np.ndarray, start: np.ndarray, seen: np.ndarray) -> np.nda
     return points - transform(np.linalg.inv(start), seen)
 
 
-def condensed(points: np.ndarray, start: np.ndarray, seen: np.ndarray, **options: object) -> CondensedHomography:
+def condensed(points: np.ndarray, start: np.ndarray, seen: np.ndarray, **options: object) -> HomographyNormalEquations:
     motions = PlaneMotion(points)
     displacements = displaced(points, start, seen)
     motion = motions.fit(displacements, np.ones(len(points), bool))
-    return condensed_homography(motions, displacements, motion, start, np.eye(3), **options)
+    return homography_normal_equations(motions, displacements, motion, start, np.eye(3), **options)
 
 
 def test_exact_points_give_the_homography_though_the_start_is_off(points: np.ndarray) -> None:
@@ -49,7 +49,7 @@ def test_the_estimate_maps_the_callers_pixels(points: np.ndarray) -> None:
     motions = PlaneMotion(points)
     displacements = displaced(points, nearly(0.1), transform(H, points))
     motion = motions.fit(displacements, np.ones(len(points), bool))
-    found = condensed_homography(motions, displacements, motion, nearly(0.1), SRC_TO_POINTS)
+    found = homography_normal_equations(motions, displacements, motion, nearly(0.1), SRC_TO_POINTS)
     src = transform(np.linalg.inv(SRC_TO_POINTS), points)
     assert_allclose(transform(found.estimate.H, src), transform(H, points), atol=1e-3)
     assert_allclose(found.estimate.H, normalised_homography(H @ SRC_TO_POINTS), atol=1e-6)
@@ -119,7 +119,7 @@ def test_normalised_squared_errors_are_chi_squared(correlated: bool) -> None:
         displacements = displaced(points, H, transform(H, points)) + root @ rng.normal(0, 0.1, (80, 2))
         motions = PlaneMotion(points)
         motion = motions.fit(displacements, np.ones(80, bool))
-        found = condensed_homography(motions, displacements, motion, H, np.eye(3), correlation)
+        found = homography_normal_equations(motions, displacements, motion, H, np.eye(3), correlation)
         error = basis.T @ (found.estimate.H - truth).ravel()
         squared.append(error @ np.linalg.solve(basis.T @ found.estimate.covariance @ basis, error))
     # The mean of 200 has a standard deviation of 0.28; trimming takes a few per cent of the noise away.
@@ -134,7 +134,7 @@ def test_the_covariance_grows_with_what_the_homography_cannot_follow() -> None:
     sway = np.column_stack((0.5 * np.sin(points[:, 1] / 60), np.zeros(120)))
     motions = PlaneMotion(points)
     still, swaying = (
-        condensed_homography(motions, d, motions.fit(d, np.ones(120, bool)), np.eye(3), np.eye(3))
+        homography_normal_equations(motions, d, motions.fit(d, np.ones(120, bool)), np.eye(3), np.eye(3))
         for d in (noise, noise + sway)
     )
     spread = np.trace(swaying.estimate.covariance) / np.trace(still.estimate.covariance)
@@ -151,14 +151,14 @@ def test_what_cannot_be_fitted_is_refused(points: np.ndarray) -> None:
     displacements = displaced(points, H, dst)
     motion = motions.fit(displacements, np.ones(len(points), bool))
     with pytest.raises(ShapeError, match="displacements"):
-        condensed_homography(motions, displacements[:-1], motion, H, np.eye(3))
+        homography_normal_equations(motions, displacements[:-1], motion, H, np.eye(3))
     with pytest.raises(ShapeError, match="at least 5"):
-        condensed_homography(motions, displacements, motion, H, np.eye(3), min_points=4)
+        homography_normal_equations(motions, displacements, motion, H, np.eye(3), min_points=4)
     with pytest.raises(NoConsensus, match="need 201"):
-        condensed_homography(motions, displacements, motion, H, np.eye(3), min_points=201)
+        homography_normal_equations(motions, displacements, motion, H, np.eye(3), min_points=201)
     line = np.column_stack((np.arange(20.0), np.zeros(20)))
     with pytest.raises(NoConsensus, match="span the plane"):
         PlaneMotion(line).fit(np.zeros((20, 2)), np.ones(20, bool))
     affine = PlaneMotion(points, affine=True)
     with pytest.raises(ShapeError, match="projective"):
-        condensed_homography(affine, displacements, affine.fit(displacements, np.ones(200, bool)), H, np.eye(3))
+        homography_normal_equations(affine, displacements, affine.fit(displacements, np.ones(200, bool)), H, np.eye(3))

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keypoints and descriptors of a frame: in a first look, or thoroughly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgu_ros.config.parameters import Parameters, PreprocessParameters
+from imgu_ros.image.grey_pyramid import GreyPyramid, most_halvings
+from imgu_ros.image.preprocessing import preprocessed, with_edges
+from imgu_ros.result import Stage
+from imgu_ros.stage_clock import StageClock
+from imgu_ros.types import Image, Points
+from imgu_ros.vision.descriptors.describe import Descriptions, describe
+from imgu_ros.vision.keypoints.detect import detect
+from imgu_ros.vision.keypoints.keypoints import rounded_to_float32
+from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
+
+#: A level with a shorter side than this has too few keypoints for its cost.
+_SMALLEST_SIDE_PX = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """A frame's pyramid, and its keypoints with descriptors."""
+
+    pyramid: Pyramid
+    described: Descriptions
+
+    @property
+    def unit_px(self) -> float:
+        """Raw px in a pixel of the picture that keypoints were sought in."""
+        return self.pyramid.levels[0].scale
+
+
+def find_features(pictures: GreyPyramid, parameters: Parameters, clock: StageClock) -> Features:
+    """Build a frame's pyramid, find its keypoints and describe them.
+
+    Parameters
+    ----------
+    pictures : the frame's
+    parameters : all parameters; for a thorough search those of `thorough_parameters`
+    clock : takes the time of the stages
+    """
+    with clock.measures(Stage.PYRAMID):
+        pyramid = frame_pyramid(reduced_picture(pictures, parameters), parameters)
+    return described_features(pyramid, parameters, clock)
+
+
+def frame_pyramid(base: Reduced, parameters: Parameters) -> Pyramid:
+    """Build the pyramid that keypoints are sought in."""
+    p = parameters.pyramid
+    pyramid = build_pyramid(
+        base.image,
+        p.kind,
+        p.levels,
+        p.scales_per_octave,
+        min_side_px=_SMALLEST_SIDE_PX,
+        kernel=p.kernel,
+        full_size=base.full_size,
+    )
+    return with_edges(pyramid, parameters.preprocess)
+
+
+def described_features(pyramid: Pyramid, parameters: Parameters, clock: StageClock) -> Features:
+    """Find the keypoints of a frame's pyramid and describe them."""
+    p = parameters
+    with clock.measures(Stage.KEYPOINTS):
+        keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count, fast_arc=p.keypoints.fast_arc)
+    with clock.measures(Stage.DESCRIBE):
+        described = describe(pyramid, keypoints, p.descriptor.kind)
+        return Features(pyramid, Descriptions(rounded_to_float32(described.keypoints), described.descriptors))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """A picture, and width and height of the part of the frame that it shows, px."""
+
+    image: Image
+    full_size: Points
+
+
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """How a frame is reduced before keypoints are sought.
+
+    Attributes
+    ----------
+    halvings : by the mean of four pixels each, as often as possible
+    width, height : of the reduced picture, px
+    full_width, full_height : of the part of the frame that it shows, px
+    """
+
+    halvings: int
+    width: int
+    height: int
+    full_width: int
+    full_height: int
+
+    @property
+    def unit_px(self) -> float:
+        """Raw px in a pixel of the reduced picture."""
+        return math.sqrt(self.full_width / self.width * (self.full_height / self.height))
+
+
+def reduction_of(shape: tuple[int, int], parameters: Parameters) -> Reduction:
+    """Return how a frame of `shape`, (height, width) px, is reduced."""
+    height, width = shape
+    factor = math.ceil(max(height, width) / parameters.pyramid.max_side_px)
+    if _is_preprocessed(parameters):
+        columns, rows = (max(1, round(side / factor - 1e-9)) for side in (width, height))
+        return Reduction(0, columns, rows, width, height)
+    halvings = min(factor.bit_length() - 1, most_halvings(shape))
+    rows, columns, step = height >> halvings, width >> halvings, 2**halvings
+    left = factor / step
+    small = [max(1, round(side / left)) if left > 1 else side for side in (columns, rows)]
+    return Reduction(halvings, small[0], small[1], columns * step, rows * step)
+
+
+def reduced_picture(pictures: GreyPyramid, parameters: Parameters) -> Reduced:
+    """Return the picture in which keypoints are sought: straight from the mosaic where it is small and as it came."""
+    p = parameters.pyramid
+    reduction = reduction_of(pictures.shape, parameters)
+    full_size = np.array((reduction.full_width, reduction.full_height))
+    if _is_preprocessed(parameters):
+        grey = preprocessed(pictures.halved(0), parameters.preprocess, p.kernel)
+        level = build_pyramid(grey, levels=1, max_side_px=p.max_side_px).levels[0]
+        return Reduced(level.image, full_size)
+    image = pictures.halved(reduction.halvings)
+    size = reduction.width, reduction.height
+    if image.shape[1::-1] != size:
+        image = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    return Reduced(image, full_size)
+
+
+def plain_picture(pictures: GreyPyramid, parameters: Parameters) -> Reduced:
+    """Return the picture from which `reduced_picture` can be made elsewhere: the same, or all of a frame's pixels.
+
+    Steps of `preprocess` come before the reduction, and are left to whoever makes the pyramid.
+    """
+    if not _is_preprocessed(parameters):
+        return reduced_picture(pictures, parameters)
+    return Reduced(pictures.halved(0), np.array(pictures.shape[::-1]))
+
+
+def _is_preprocessed(parameters: Parameters) -> bool:
+    return parameters.preprocess != PreprocessParameters()

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From tentative matches to where a target is: homography, refinement, confirmation, pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.detect.guided_matching import Guided
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
+from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.pose.planar_pose import Located, bending, posed, require_plausible
+from imgu_ros.reasons import why_not_found
+from imgu_ros.reference.planar import Target
+from imgu_ros.reference.verification import require_confirmed
+from imgu_ros.result import Stage, Status, TargetMatches, TargetResult
+from imgu_ros.stage_clock import StageClock
+from imgu_ros.track.refinement import Alignment, refine_by_alignment
+from imgu_ros.types import Mask, Matrix3, Points
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.estimation.ransac import ransac
+from imgu_ros.vision.estimation.search import Score
+from imgu_ros.vision.projective.fit import fit_homography
+from imgu_ros.vision.projective.minimal import HomographyModel
+from imgu_ros.vision.projective.transform import faces_camera
+
+#: Hypotheses as good as the answer that wrong matches are expected to give, where nothing else confirms a target.
+#: Comparing it with the frame tells it from chance better: with both, one in ten seen small or steeply was lost
+#: (`imgu bench --suite detection --conditions size-10,tilt-70`).
+_BY_CHANCE = 1e-3
+#: Halvings of what patches do not confirm: its covariance is not one to judge a calibration by.
+_NOT_SHARP = 1
+#: How wrong, raw px, a homography of keypoints may be.
+_DETECTION_REACH_PX = 8.0
+#: Of the patches in view, spread over the target, the share that says as much as comparing all of it.
+_CONFIRMING_SHARE = 0.8
+
+
+#: What `posed` does, or a part of it.
+Finish = Callable[[TargetResult, Target, Located, Camera | None, Parameters, str], TargetResult]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What tentative matches are weighed by.
+
+    Attributes
+    ----------
+    camera : intrinsics; None when there are none that can be used
+    pictures : the frame's grey one, at every resolution; None: nothing is refined, nor confirmed by looking
+    unit_px : raw px in a pixel of the picture that keypoints were sought in
+    camera_reason : why there is no camera; empty: there is no camera_info
+    """
+
+    camera: Camera | None
+    pictures: GreyPyramid | None
+    unit_px: float
+    camera_reason: str = ""
+
+
+def located(
+    target: TargetResult,
+    known: Target,
+    sight: Sight,
+    parameters: Parameters,
+    rng: np.random.Generator,
+    clock: StageClock,
+    guide: Callable[[Guided], Guided] | None = None,
+    finish: Finish = posed,
+) -> TargetResult:
+    """Find where a target is by its tentative matches; what fails becomes a status with its reason.
+
+    Parameters
+    ----------
+    target : with its tentative matches, best first
+    known : the target itself
+    sight : what they are weighed by
+    parameters : all parameters
+    rng : draws minimal samples
+    clock : takes the time of the stages
+    guide : looks for more matches once the target was found; None: those given are all
+    finish : completes the result by what its place tells
+    """
+    matches = target.matches
+    if matches is None:
+        return target
+    lens = bending(sight.camera)
+    try:
+        with clock.measures(Stage.HOMOGRAPHY):
+            agreed = _agreed(matches, sight, lens, parameters, rng)
+            matches = replace(matches, inliers=agreed.inliers)
+            target = replace(target, most_inliers=int(np.count_nonzero(agreed.inliers)))
+            place = None if parameters.refinement.enabled else _fitted(agreed, matches, parameters)
+            if guide is not None:
+                more = guide(Guided(matches, place or _fitted(agreed, matches, parameters)))
+                matches, place = more.matches, more.located
+        is_confirmed, share = sight.pictures is None, None
+        if parameters.refinement.enabled and sight.pictures is not None:
+            H = _start(known, agreed, matches) if place is None else place.homography.H
+            with clock.measures(Stage.REFINE):
+                aligned = _aligned(known, sight.pictures, H, lens, parameters)
+            if aligned is not None:
+                place = Located(
+                    aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed, aligned.halvings
+                )
+                share = aligned.agreeing_share
+                is_confirmed = share >= _CONFIRMING_SHARE
+        with clock.measures(Stage.HOMOGRAPHY):
+            # Where patches do not agree (blur, little texture), keypoints still say where the target is.
+            place = place or replace(_fitted(agreed, matches, parameters), halvings=_NOT_SHARP)
+            # Where little of a target is in view, only the refined homography is good enough to tell.
+            require_plausible(known, place.homography)
+            if not is_confirmed and sight.pictures is not None:
+                share = require_confirmed(sight.pictures, known, place.homography.H, lens)
+    except EstimationError as error:
+        return _missing(target, error, len(matches.template_xy), parameters)
+    detected = replace(target, status=Status.DETECTED, matches=matches, confirmed_share=share, most_inliers=0)
+    with clock.measures(Stage.POSE):
+        return finish(detected, known, place, sight.camera, parameters, sight.camera_reason)
+
+
+def _missing(target: TargetResult, error: EstimationError, matches: int, parameters: Parameters) -> TargetResult:
+    """Return the result of a target that was looked for and not found."""
+    agreeing = max(target.most_inliers, error.inliers if isinstance(error, NoConsensus) else 0)
+    return replace(
+        target,
+        status=Status.DEGENERATE if isinstance(error, DegenerateConfiguration) else target.status,
+        reason=why_not_found(error, matches, agreeing, parameters.homography.min_inliers),
+        confirmed_share=error.share if isinstance(error, NotConfirmed) else None,
+        most_inliers=agreeing,
+    )
+
+
+def draws(parameters: Parameters, stamp_ns: int, index: int) -> np.random.Generator:
+    """Return the stream of draws of one frame and target: a skipped frame changes no other frame's draws."""
+    return np.random.default_rng((parameters.seed, stamp_ns % 2**64, index))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Agreed:
+    """A homography on which tentative matches agree: the `inliers`, (N,), in ideal px at `ideal_xy`, (N, 2)."""
+
+    H: Matrix3
+    inliers: Mask
+    ideal_xy: Points
+
+
+def _agreed(
+    matches: TargetMatches, sight: Sight, lens: Camera | None, parameters: Parameters, rng: np.random.Generator
+) -> _Agreed:
+    p = parameters.homography
+    usable = np.arange(len(matches.template_xy))
+    ideal = matches.image_xy
+    if lens is not None:
+        ideal, valid = lens.ideal_pixels(matches.image_xy)
+        usable = np.flatnonzero(valid)
+    if len(usable) < p.min_inliers:
+        raise TooFewPoints(f"matches: {len(usable)}; need {p.min_inliers}")
+    symmetric = Score(p.score) is Score.BIWEIGHT
+    model = HomographyModel(matches.template_xy[usable], ideal[usable], symmetric)
+    consensus = ransac(
+        model,
+        p.threshold_px * sight.unit_px,
+        rng,
+        sampler=p.sampler,
+        score=p.score,
+        confidence=p.confidence,
+        max_iterations=p.max_iterations,
+        min_inliers=p.min_inliers,
+        max_by_chance=_BY_CHANCE if sight.pictures is None else math.inf,
+        unit=" px",
+    )
+    inliers = np.zeros(len(matches.template_xy), bool)
+    inliers[usable[consensus.inliers]] = True
+    return _Agreed(model.denormalised(consensus.hypothesis), inliers, ideal)
+
+
+def _start(target: Target, agreed: _Agreed, matches: TargetMatches) -> Matrix3:
+    """Return where to align from: the consensus, or its nearest affine map when that cannot be a view of the target.
+
+    Where a small part of a target is in view, its perspective is too uncertain to be continued to all of it.
+    """
+    if faces_camera(agreed.H, target.outline_template):
+        return agreed.H
+    src = matches.template_xy[agreed.inliers]
+    affine, *_ = np.linalg.lstsq(np.column_stack((src, np.ones(len(src)))), agreed.ideal_xy[agreed.inliers], rcond=None)
+    return np.vstack((affine.T, (0.0, 0.0, 1.0)))
+
+
+def _fitted(agreed: _Agreed, matches: TargetMatches, parameters: Parameters) -> Located:
+    """Return the location that minimises the inliers' error."""
+    p = parameters.homography
+    estimate = fit_homography(
+        matches.template_xy[agreed.inliers],
+        agreed.ideal_xy[agreed.inliers],
+        error=p.error,
+        refine=None if p.refine == "none" else p.refine,
+        start=agreed.H,
+    )
+    return Located(matches.template_xy[agreed.inliers], matches.image_xy[agreed.inliers], estimate)
+
+
+def _aligned(
+    target: Target, pictures: GreyPyramid, H: Matrix3, lens: Camera | None, parameters: Parameters
+) -> Alignment | None:
+    """Return the refined location; None when the patches do not agree."""
+    try:
+        aligned = refine_by_alignment(
+            pictures,
+            target,
+            H,
+            lens,
+            parameters.refinement,
+            parameters.homography.min_inliers,
+            _DETECTION_REACH_PX,
+        )
+        require_plausible(target, aligned.homography)
+    except EstimationError:
+        return None
+    return aligned

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From raw pixels to the grey picture that the chain works on, and to colour for those who ask."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from imgu_ros.config.parameters import DemosaicParameters, RawParameters
+from imgu_ros.errors import ShapeError
+from imgu_ros.types import Image, as_image
+from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
+from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
+from imgu_ros.vision.formation.layout import ColorModel, RawImage
+from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
+from imgu_ros.vision.matching.patch_atlas import PatchAtlas
+from imgu_ros.vision.processing.points import REC601, grey_from_rgb
+
+_TO_RGB = {
+    ColorModel.MONO: cv2.COLOR_GRAY2RGB,
+    ColorModel.LUMA: cv2.COLOR_GRAY2RGB,
+    ColorModel.BGR: cv2.COLOR_BGR2RGB,
+    ColorModel.RGBA: cv2.COLOR_RGBA2RGB,
+    ColorModel.BGRA: cv2.COLOR_BGRA2RGB,
+    ColorModel.UYVY: cv2.COLOR_YUV2RGB_UYVY,
+    ColorModel.YUYV: cv2.COLOR_YUV2RGB_YUY2,
+}
+_TO_GREY = {
+    ColorModel.RGB: cv2.COLOR_RGB2GRAY,
+    ColorModel.BGR: cv2.COLOR_BGR2GRAY,
+    ColorModel.RGBA: cv2.COLOR_RGBA2GRAY,
+    ColorModel.BGRA: cv2.COLOR_BGRA2GRAY,
+    ColorModel.UYVY: cv2.COLOR_YUV2GRAY_UYVY,
+    ColorModel.YUYV: cv2.COLOR_YUV2GRAY_YUY2,
+}
+
+#: Channels of a pixel; 1 stands for a two-dimensional array.
+_CHANNELS = {
+    ColorModel.BAYER: 1,
+    ColorModel.MONO: 1,
+    ColorModel.RGB: 3,
+    ColorModel.BGR: 3,
+    ColorModel.RGBA: 4,
+    ColorModel.BGRA: 4,
+    ColorModel.ARGB: 4,
+    ColorModel.UYVY: 2,
+    ColorModel.YUYV: 2,
+    ColorModel.LUMA: 1,
+}
+
+
+class Developed:
+    """A frame's pictures, each made when it is first asked for."""
+
+    def __init__(self, image: RawImage, raw: RawParameters, method: DemosaicMethod) -> None:
+        self._layout = image.layout
+        self._pixels = _checked_pixels(image)
+        self._raw = raw
+        self._method = method
+        self._grey: Image | None = None
+        self._color: Image | None = None
+        white = self._white_level()
+        if white is not None and white <= raw.black_level:
+            raise ShapeError(f"raw.black_level: {raw.black_level:g}; need less than the white level, {white:g}")
+        #: Whether any part of the grey picture can be made without the rest of the frame.
+        self._local = white is not None and (
+            image.layout.color in (ColorModel.MONO, ColorModel.LUMA)
+            or (
+                image.layout.color is ColorModel.BAYER
+                and method is DemosaicMethod.BILINEAR
+                and raw.grey_weights == REC601
+                and all(gain == 1.0 for gain in raw.gains)
+            )
+        )
+        if image.layout.color is ColorModel.BANDS:
+            self._grey = self._developed_grey()  # which bands there are is told by the pixels: what is wrong, at once
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, px."""
+        height, width = self._pixels.shape[:2]
+        return height, width
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the grey values go with the light, as `raw.transfer` says."""
+        if self._raw.transfer == "auto":
+            return self._layout.color in (ColorModel.BAYER, ColorModel.MONO, ColorModel.BANDS)
+        return self._raw.transfer == "linear"
+
+    @property
+    def grey(self) -> Image:
+        """The grey picture at full resolution, (H, W) uint8."""
+        if self._grey is None:
+            self._grey = self._developed_grey()
+        return self._grey
+
+    def halved(self) -> Image:
+        """Return the grey picture of half the size, (H // 2, W // 2) uint8: each pixel the mean of four.
+
+        Of a mosaic they are the four of a quad, weighed as they are: green counts a half.
+
+        Raises
+        ------
+        ShapeError
+            If a side is shorter than 2 px.
+        """
+        if min(self.shape) < 2:
+            raise ShapeError(f"pixels: shape {self.shape}; need at least 2 px a side to halve them")
+        if self._grey is None and self._local:
+            source, finish = self._pixels, True
+        else:
+            source, finish = self.grey, False
+        height, width = self.shape[0] // 2, self.shape[1] // 2
+        small = cv2.resize(source[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        return stretched_to_8_bit(small, self._raw.black_level, self._white_level()) if finish else small
+
+    def cut(self, sheet: PatchAtlas) -> Image:
+        """Return squares of the grey picture as a sheet; those of a mosaic must begin at even pixels.
+
+        In the outermost pixel of a square, where the mosaic's neighbours are missing, it may differ from the picture.
+
+        Raises
+        ------
+        ShapeError
+            If squares of a mosaic begin at odd pixels, or one reaches beyond the picture.
+        """
+        if self._grey is not None or not self._local:
+            return sheet.cut(self.grey)
+        squares = sheet.cut(self._pixels)
+        if self._layout.color is ColorModel.BAYER and self._layout.pattern is not None:
+            if (sheet.side | int(np.bitwise_or.reduce(sheet.origins, axis=None))) & 1:
+                raise ShapeError("sheet: squares at odd pixels; need even ones, where a quad begins")
+            squares = grey_from_mosaic(squares, self._layout.pattern, exact_border=False)
+        return stretched_to_8_bit(squares, self._raw.black_level, self._white_level())
+
+    def color(self) -> Image:
+        """Return the colour picture, (H, W, 3) RGB, uint8 or uint16; made on the first call, then kept.
+
+        N-band images and greys become a grey RGB picture.
+        """
+        if self._color is None:
+            self._color = self._developed_color()
+        return self._color
+
+    def _developed_grey(self) -> Image:
+        pixels, layout = self._pixels, self._layout
+        black, white = self._raw.black_level, self._white_level()
+        if layout.color is ColorModel.BAYER and layout.pattern is not None:
+            balanced = pixels
+            if any(gain != 1.0 for gain in self._raw.gains):
+                # Gains hold for what lies above black; a range as wide as the data type's scales nothing else.
+                top = float(np.iinfo(pixels.dtype).max)
+                balanced = with_levels(pixels, layout.pattern, black, black + top, self._raw.gains)
+                black, white = 0.0, None if white is None else white - black
+            if self._method is DemosaicMethod.BILINEAR and self._raw.grey_weights == REC601:
+                grey = grey_from_mosaic(balanced, layout.pattern)
+            else:
+                grey = grey_of(demosaic(balanced, layout.pattern, self._method), self._raw.grey_weights)
+        elif layout.color is ColorModel.BANDS:
+            grey = self._grey_from_bands()
+            if self._raw.band_mode in (BandMode.PRINCIPAL_COMPONENT, BandMode.SPECTRAL_ANGLE):
+                black, white = 0.0, None  # no raw values: the levels of raw data mean nothing to them
+        elif layout.color in (ColorModel.MONO, ColorModel.LUMA):
+            grey = pixels
+        elif layout.color in _TO_GREY and self._raw.grey_weights == REC601:
+            grey = cv2.cvtColor(pixels, _TO_GREY[layout.color])
+        else:
+            grey = grey_of(self._rgb(), self._raw.grey_weights)
+        return stretched_to_8_bit(grey, black, white)
+
+    def _developed_color(self) -> Image:
+        pixels, layout = self._pixels, self._layout
+        if layout.color is ColorModel.BAYER and layout.pattern is not None:
+            # Black and white level are applied only where they are known: colours keep the input's depth.
+            leveled = with_levels(
+                pixels, layout.pattern, self._raw.black_level, self._white_level() or 0.0, self._raw.gains
+            )
+            return demosaic(leveled, layout.pattern, self._method)
+        if layout.color is ColorModel.BANDS:
+            return cv2.cvtColor(self.grey, cv2.COLOR_GRAY2RGB)
+        return self._rgb()
+
+    def _rgb(self) -> Image:
+        """Return the pixels of a layout that is neither a mosaic nor of bands as RGB."""
+        pixels, color = self._pixels, self._layout.color
+        if color is ColorModel.RGB:
+            return pixels
+        if color is ColorModel.ARGB:
+            return np.ascontiguousarray(pixels[..., 1:])
+        return cv2.cvtColor(pixels, _TO_RGB[color])
+
+    def _grey_from_bands(self) -> Image:
+        raw, pixels = self._raw, self._pixels
+        available = 1 if pixels.ndim == 2 else pixels.shape[2]
+        if raw.bands and max(raw.bands) >= available:
+            raise ShapeError(f"raw.bands: {max(raw.bands)}; need 0 to {available - 1} (the image's bands)")
+        count, mode = len(raw.bands) or available, BandMode(raw.band_mode)
+        weights, reference = raw.band_weights, raw.reference_spectrum
+        if mode is BandMode.WEIGHTED and len(weights) != count:
+            raise ShapeError(f"raw.band_weights: {len(weights)} values; need {count}, one for each band")
+        if mode is BandMode.SPECTRAL_ANGLE:
+            if len(reference) != count:
+                raise ShapeError(f"raw.reference_spectrum: {len(reference)} values; need {count}, one for each band")
+            if raw.black_level:
+                pixels = pixels - np.asarray(raw.black_level, np.float64)  # an angle is about the spectrum of no light
+        return grey_from_bands(pixels, mode, raw.bands, weights, reference)
+
+    def _white_level(self) -> float | None:
+        """The raw value of full scale, or None when the data are to tell."""
+        if self._raw.white_level > 0:
+            return self._raw.white_level
+        if self._pixels.dtype == np.uint16 and self._raw.significant_bits > 0:
+            return float(2**self._raw.significant_bits - 1)
+        return 255.0 if self._pixels.dtype == np.uint8 else None
+
+
+def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameters) -> Developed:
+    """Check a raw image; its grey picture and its colours are made on demand.
+
+    8-bit input keeps its values unless black or white level are set. Deeper input is brought to 8 bits between
+    black and white level where they are known, else between percentiles of this frame, which also is the
+    automatic gain of infrared pictures (notes 1.2.4).
+
+    Raises
+    ------
+    ShapeError
+        If the pixels do not fit their layout, `raw.bands` names a band that the image lacks, or the black level is
+        not below the white level.
+    """
+    return Developed(image, raw, DemosaicMethod(demosaicking.method))
+
+
+def grey_of(color: Image, weights: Sequence[float]) -> Image:
+    """Return the weighted mean of red, green and blue: of frames and of targets alike.
+
+    Parameters
+    ----------
+    color : (H, W, 3) RGB, uint8 or uint16
+    weights : of red, green and blue, >= 0, not all 0
+    """
+    if tuple(weights) == REC601:
+        return cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    return grey_from_rgb(color, np.divide(weights, sum(weights)))
+
+
+def _checked_pixels(image: RawImage) -> Image:
+    """Return the pixels in native byte order and without gaps between rows, when they fit their layout."""
+    pixels, layout = image.pixels, image.layout
+    if layout.color is ColorModel.BANDS:
+        if not isinstance(pixels, np.ndarray) or pixels.ndim not in (2, 3) or not pixels.size:
+            shape = getattr(pixels, "shape", type(pixels).__name__)
+            raise ShapeError(f"pixels: {shape}; need (H, W) or (H, W, N) with at least one pixel")
+        if pixels.dtype.kind not in "uif":
+            raise ShapeError(f"pixels: data type {pixels.dtype}; need real numbers")
+        return np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("="))
+    if layout.color is ColorModel.BAYER and layout.pattern is None:
+        raise ShapeError("layout: a Bayer image without a pattern; need one")
+    packed = layout.color in (ColorModel.UYVY, ColorModel.YUYV)
+    dtypes = (np.uint8,) if packed else (np.uint8, np.uint16)
+    pixels = as_image(pixels, "pixels", (_CHANNELS[layout.color],), dtypes, rescaled=False)
+    if image.pixels.dtype.type not in dtypes:
+        need = ", ".join(np.dtype(d).name for d in dtypes)
+        raise ShapeError(f"pixels: data type {image.pixels.dtype}; need {need}")
+    if layout.color is ColorModel.BAYER and min(pixels.shape) < 2:
+        raise ShapeError(f"pixels: shape {pixels.shape}; need at least one 2x2 quad")
+    if packed and pixels.shape[1] % 2:
+        raise ShapeError(f"pixels: shape {pixels.shape}; need an even width for {layout.color}")
+    return pixels

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands in the way of a run: an earlier run's files, which are removed, or somebody else's, which never are."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Collection
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from imgu_ros.errors import FileError
+from imgu_ros.replay.manifest import MANIFEST, Manifest
+
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+#: Between a file's last change and the time at which the run says that it is at work; some file systems count in 2 s.
+_SLACK_NS = 3_000_000_000
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFLNK: "a symbolic link", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """A run that wrote into the folder.
+
+    Attributes
+    ----------
+    manifest : its list
+    until_ns : when it last wrote; None: not known
+    """
+
+    manifest: Manifest
+    until_ns: int | None
+
+
+class EarlierFiles:
+    """Finds what is in the way, and removes it when all of it is an earlier run's; a context manager.
+
+    A file is an earlier run's when that run's list names it, it is a regular file, and nobody changed it after that run
+    had ended. Folders are opened once and without following links: what is removed is what was looked at.
+
+    Parameters
+    ----------
+    out : the folder
+    wanted : names of the files that are about to be written
+    earlier : the run before; None when there was none
+
+    Raises
+    ------
+    FileError
+        If anything else is in the way, naming it.
+    """
+
+    def __init__(self, out: Path, wanted: Collection[str], earlier: EarlierRun | None) -> None:
+        self._out = out
+        self._earlier = earlier
+        self._listed = frozenset[str]() if earlier is None else earlier.manifest.files
+        self._files: list[str] = []
+        self._folders: dict[str, int | None] = {}
+        names = self._listed | set(wanted)
+        with ExitStack() as stack:
+            self._stack = stack
+            self._folders[""] = self._open(str(out), os.O_RDONLY | os.O_DIRECTORY, None)
+            for folder in sorted(_parents(names)):  # an outer one before those in it
+                self._look_into(folder, names)
+            for name in sorted(names):
+                self._look_at(name)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def remove(self, first: str) -> None:
+        """Remove all files, `first` before the others, then the folders that have become empty."""
+        for name in sorted(self._files, key=lambda name: name != first):
+            folder, _, base = name.rpartition("/")
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(base, dir_fd=self._folders[folder])
+        for path in sorted(filter(None, self._folders), reverse=True):  # an inner one before those around it
+            folder, _, base = path.rpartition("/")
+            if self._folders[path] is not None:
+                os.rmdir(base, dir_fd=self._folders[folder])
+
+    def _look_into(self, path: str, names: Collection[str]) -> None:
+        """Open a folder; refuse what is none, and one that holds anything which is not listed."""
+        self._folders[path] = None
+        status = self._status(path)
+        if status is None:
+            return
+        if not stat.S_ISDIR(status.st_mode):
+            raise self._refused(path, _kind(status))
+        if path not in _parents(self._listed):
+            raise self._refused(path, self._not_ours())
+        folder, _, base = path.rpartition("/")
+        descriptor = self._open(base, _FOLDER, self._folders[folder])
+        self._folders[path] = descriptor
+        known = set(names) | _parents(names)
+        for entry in sorted(os.listdir(descriptor)):
+            if f"{path}/{entry}" not in known:
+                raise self._refused(f"{path}/{entry}", self._not_ours())
+
+    def _look_at(self, name: str) -> None:
+        status = self._status(name)
+        if status is None:
+            return
+        if name not in self._listed:
+            raise self._refused(name, self._not_ours())
+        if not stat.S_ISREG(status.st_mode):
+            raise self._refused(name, _kind(status))
+        assert self._earlier is not None
+        began_ns, until_ns = self._earlier.manifest.began_ns, self._earlier.until_ns
+        if until_ns is None:
+            raise self._refused(name, "nothing tells whether it was changed since its run")
+        if not began_ns - _SLACK_NS <= status.st_mtime_ns <= until_ns + _SLACK_NS:
+            raise self._refused(name, "changed since the run that wrote it")
+        self._files.append(name)
+
+    def _status(self, name: str) -> os.stat_result | None:
+        folder, _, base = name.rpartition("/")
+        descriptor = self._folders[folder]
+        if descriptor is None:
+            return None
+        try:
+            return os.stat(base, dir_fd=descriptor, follow_symlinks=False)
+        except FileNotFoundError:
+            return None
+
+    def _open(self, name: str, flags: int, within: int | None) -> int:
+        descriptor = os.open(name, flags, dir_fd=within)
+        self._stack.callback(os.close, descriptor)
+        return descriptor
+
+    def _not_ours(self) -> str:
+        if self._earlier is None:
+            return f"no list of a run ({MANIFEST}) names it: it is yours, or of an earlier version"
+        return f"not in the earlier run's list ({MANIFEST})"
+
+    def _refused(self, name: str, what: str) -> FileError:
+        return FileError(f"{self._out / name}: {what}; it is not removed: move it away, or name another folder")
+
+
+def _kind(status: os.stat_result) -> str:
+    return f"{_KINDS.get(stat.S_IFMT(status.st_mode), 'a special file')} where a run has its own"
+
+
+def _parents(names: Collection[str]) -> set[str]:
+    """Return the folders that relative names lie in."""
+    return {"/".join(parts[:end]) for parts in (name.split("/") for name in names) for end in range(1, len(parts))}

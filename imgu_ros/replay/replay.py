@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run the chain over a recorded bag, offline: frames.csv, poses, a results bag, a summary and a report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import chain as chained
+from pathlib import Path
+
+from imgu_ros.bags.prefetch import Prefetch
+from imgu_ros.bags.reading import open_bag
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.errors import BagError, ParameterError
+from imgu_ros.files.target_images import load_target_images
+from imgu_ros.localizer import Localizer, rejected_targets
+from imgu_ros.messages.results import needs_keypoints
+from imgu_ros.reference.planar import Target, prepare_targets
+from imgu_ros.reference.size_checks import SizeChecks
+from imgu_ros.replay.frame_source import FrameSource
+from imgu_ros.replay.output_folder import check_output_folder, output_folder
+from imgu_ros.replay.read_ahead import ReadFrame, read_ahead, size_of
+from imgu_ros.replay.recorded_topics import checked_record
+from imgu_ros.replay.result_files import replay_contents
+from imgu_ros.replay.result_items import Files, ResultItem
+from imgu_ros.replay.result_sink import ResultSink, result_sink
+from imgu_ros.replay.statistics import Replayed, ReplayStatistics
+from imgu_ros.report.summary import Source, Summary
+from imgu_ros.result import Result
+from imgu_ros.simulate.truth import read_truth
+from imgu_ros.stop_signals import HeldExitStack, held
+from imgu_ros.threads import one_processor_left_over, quick_thread_switches
+
+#: Of pictures that are read and developed and wait for the chain.
+_AHEAD_BYTES = 16_000_000
+
+
+def replay(
+    bags: Sequence[Path],
+    out: Path,
+    parameters: Parameters,
+    *,
+    truth: Path | None = None,
+    record: Sequence[str] = (),
+    overwrite: bool = False,
+    on_progress: Callable[[int, int | None], None] = lambda done, total: None,
+    on_warning: Callable[[str], None] = lambda text: None,
+) -> Summary:
+    """Run the chain over one image topic of a bag and write the results into `out`.
+
+    The same bag, parameters and seed give the same files, but for times. Memory does not depend on the length of the
+    bag until the report is drawn, which takes about 250 bytes a frame and target.
+
+    Parameters
+    ----------
+    bags : paths of one recording
+    out : folder for the results; see `docs/interfaces.md` for what is written
+    parameters : all parameters; `targets.images` must name at least one
+    truth : truth file; the report then tells the errors
+    record : outputs to write into the results bag beside those that always are
+    overwrite : replace the files of an earlier replay in `out`; nothing else is ever removed
+    on_progress : called after each frame with the number of frames done and, when it is known, of all
+    on_warning : called once for each thing the user should know
+
+    Raises
+    ------
+    ParameterError, ShapeError, FileError
+        If parameters, targets, the truth file or the output folder are unusable.
+    BagError
+        If the bag cannot be read, has no image topic, or not one frame in it could be decoded.
+    """
+    recorded = checked_record(record)
+    truths = () if truth is None else read_truth(truth)
+    check_output_folder(out, replay_contents(()), overwrite=overwrite, inputs=bags)
+    warnings = _Warnings(on_warning)
+    with HeldExitStack() as stack:
+        bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
+        if not parameters.targets.images:
+            raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
+        targets = prepare_targets(
+            load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits),
+            parameters,
+        )
+        warnings.add(bag.warnings)
+        source = FrameSource(bag, parameters)
+        warnings.add(bag.warnings, source.warnings)
+        ahead = stack.enter_context(closing(Prefetch(read_ahead(bag, source, parameters), size_of, _AHEAD_BYTES)))
+        frames = iter(ahead)
+        first = next(frames, None)
+        if first is None:
+            warnings.add(bag.warnings, source.warnings)
+            raise BagError(f"{source.image_topic.name}: no image in the bag can be read; need at least one")
+        warnings.add(first.warnings)
+        total, names = source.image_topic.count, tuple(target.name for target in targets)
+        folder = stack.enter_context(
+            output_folder(
+                out,
+                replay_contents(names),
+                overwrite=overwrite,
+                inputs=bags,
+                on_warning=lambda text: warnings.add([text]),
+            )
+        )
+        sink = stack.enter_context(result_sink(Files(folder, parameters, names, recorded, total)))
+        passed = _Run(total, targets, parameters, recorded, warnings, on_progress).over(chained([first], frames), sink)
+        warnings.add(bag.warnings, source.warnings, passed.warnings())
+        described = Source(
+            bags=tuple(str(path) for path in bags),
+            truth="" if truth is None else str(truth),
+            image_topic=source.image_topic.name,
+            camera_info_topic="" if source.camera_info_topic is None else source.camera_info_topic.name,
+            camera_info_file=source.camera_info_file,
+            image_size="{} x {}".format(*passed.image_size) if passed.layout else "",
+            layout=passed.layout,
+        )
+        sizes = {target.name: target.size for target in targets}
+        summary = sink.report(Replayed(folder, passed, described, truths, sizes, parameters, warnings.listed()))
+    warnings.add(summary.warnings)
+    if passed.rejected == passed.frames:
+        raise BagError(
+            f"{described.image_topic}: not one of {passed.frames} frames could be read: {passed.first_reason}"
+        )
+    return summary
+
+
+class _Warnings:
+    """Passes on each warning once, and keeps all in order."""
+
+    def __init__(self, on_warning: Callable[[str], None]) -> None:
+        self._on_warning = on_warning
+        self._said: dict[str, None] = {}
+
+    def add(self, *groups: Sequence[str]) -> None:
+        for text in chained(*groups):
+            if text not in self._said:
+                self._said[text] = None
+                self._on_warning(text)
+
+    def listed(self) -> tuple[str, ...]:
+        return tuple(self._said)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """One pass over the frames.
+
+    Three work at once, each on another frame: a thread reads and develops, this one runs the chain, the sink writes.
+    """
+
+    total: int
+    targets: tuple[Target, ...]
+    parameters: Parameters
+    record: tuple[str, ...]
+    warnings: _Warnings
+    on_progress: Callable[[int, int | None], None]
+
+    def over(self, frames: Iterator[ReadFrame], sink: ResultSink) -> ReplayStatistics:
+        passed = ReplayStatistics()
+        worker, sizes = Localizer(self.parameters, self.targets), SizeChecks(self.targets)
+        with_keypoints = needs_keypoints(self.record)
+        start = time.monotonic()
+        with quick_thread_switches(), one_processor_left_over():
+            for read in frames:
+                result = (
+                    _rejected(read, self.targets)
+                    if read.development is None
+                    else worker.process(read.frame, with_keypoints, read.development)
+                )
+                with held():  # a frame is written whole
+                    sink.put(ResultItem(result, read.time_ns))
+                self.warnings.add(sizes.add(result))
+                if result.calibration is not None and result.calibration.warning:
+                    self.warnings.add([result.calibration.warning])
+                reason = passed.add(result)
+                if reason:
+                    self.warnings.add([f"rejected: {reason}"])
+                self.on_progress(passed.frames, self.total or None)
+                self.warnings.add(read.warnings)
+        passed.seconds = time.monotonic() - start
+        return passed
+
+
+def _rejected(read: ReadFrame, targets: Sequence[Target]) -> Result:
+    return Result(read.frame, rejected_targets(targets, read.reason), reason=read.reason)

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What comes out of the chain, with every intermediate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from imgu_ros.frame import Frame
+from imgu_ros.image.development import Developed
+from imgu_ros.types import Image, Mask, Points
+from imgu_ros.vision.camera.calibration_test import CalibrationTest
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.keypoints.keypoints import Keypoints
+from imgu_ros.vision.matching.matches import Matches
+from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.scale_space.pyramid import Pyramid
+
+
+class Stage(StrEnum):
+    """Stages of the chain, in order; the names in `frames.csv` and in `status`."""
+
+    DEVELOP = "develop"
+    PYRAMID = "pyramid"
+    KEYPOINTS = "keypoints"
+    DESCRIBE = "describe"
+    MATCH = "match"
+    HOMOGRAPHY = "homography"
+    REFINE = "refine"
+    POSE = "pose"
+
+
+class Status(StrEnum):
+    """What became of one target in one frame."""
+
+    TRACKED = "tracked"
+    DETECTED = "detected"
+    LOST = "lost"
+    DEGENERATE = "degenerate"
+    REJECTED = "rejected"
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a homography."""
+        return self in (Status.TRACKED, Status.DETECTED)
+
+
+class PoseStatus(StrEnum):
+    """What became of the pose of a target."""
+
+    NONE = ""
+    METRIC = "metric"
+    AMBIGUOUS = "ambiguous"
+    UNCALIBRATED = "uncalibrated"
+    NO_SIZE = "no_size"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetMatches:
+    """Correspondences between a target and the frame, best first.
+
+    Of a detected target they are the tentative matches of keypoints; of a tracked one the patches that were followed
+    and agree.
+
+    Attributes
+    ----------
+    matches : indices into the target's and the frame's keypoints, with the descriptor distance; -1 when they are of
+        a thorough search or of a part of the frame, -1 and 0 for patches
+    template_xy : (N, 2) px of the full-resolution target image
+    image_xy : (N, 2) raw px of the frame
+    inliers : (N,) agrees with the homography; all False when there is none
+    """
+
+    matches: Matches
+    template_xy: Points
+    image_xy: Points
+    inliers: Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetResult:
+    """One target in one frame.
+
+    Attributes
+    ----------
+    name, index : the target's name and its place in `targets.images`
+    status, pose_status : see there
+    reason : why there is no homography or no pose, in the user's terms first; empty when nothing is missing
+    matches : tentative matches; None when the stage was not reached
+    homography : H_image_template with its covariance, in ideal (undistorted) pixels of the camera when the
+        camera is calibrated and distorted, else in raw pixels; None when not found
+    outline : (4, 2) raw px, the target's outer corners: top left, top right, bottom right, bottom left;
+        None when not found
+    pose : camera_from_target with its covariance; None unless `pose_status` is metric
+    solutions : the refined planar solutions, best first: two, or one when the other cannot be
+    ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
+    calibration : what the picture says of the camera's numbers beside the pose; None without a pose, or when
+        nobody asked for it
+    is_sharp : whether its points were seen at full resolution: what blurred ones say of the calibration is not counted
+    confirmed_share : share of the target in view that looks as it should where it was found, or was thought to be, 0 to
+        1: of patches looked for those that agree, or of cells compared those that look alike; None: not compared
+    most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
+    """
+
+    name: str
+    index: int
+    status: Status
+    pose_status: PoseStatus = PoseStatus.NONE
+    reason: str = ""
+    matches: TargetMatches | None = None
+    homography: HomographyEstimate | None = None
+    outline: Points | None = None
+    pose: Pose | None = None
+    solutions: tuple[Pose, ...] = ()
+    ambiguity: float | None = None
+    confirmed_share: float | None = None
+    most_inliers: int = 0
+    calibration: CalibrationTest | None = None
+    is_sharp: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationFinding:
+    """What the frames so far say about the camera's calibration.
+
+    Attributes
+    ----------
+    views : different views of targets that were weighed, the newest
+    chi_squared : mean of their squared misfits, of 2 degrees of freedom: about 2 when the calibration is right
+    focal_percent : by how much the focal length is too long, should it alone be wrong
+    focal_sigma_percent : its standard deviation, the calibration's own uncertainty included
+    is_focal : whether the focal length explains what does not fit
+    warning : what the user should know; empty when the calibration fits
+    """
+
+    views: int
+    chi_squared: float
+    focal_percent: float
+    focal_sigma_percent: float
+    is_focal: bool
+    warning: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One frame's way through the chain.
+
+    Attributes
+    ----------
+    frame : what went in
+    targets : one entry for each known target, in the order of `targets.images`; also when the frame was rejected
+    reason : why the frame was rejected; empty when it was not
+    developed : grey picture, and colour on demand; None when the frame was rejected
+    pyramid, keypoints, descriptors : intermediates; None when no target had to be looked for
+    calibration : what this frame and those before it say of the camera's calibration; None before the first pose
+    times_ns : time that each stage took, for the stages that ran
+    total_ns : time of the whole frame
+    """
+
+    frame: Frame
+    targets: tuple[TargetResult, ...]
+    reason: str = ""
+    developed: Developed | None = None
+    pyramid: Pyramid | None = None
+    keypoints: Keypoints | None = None
+    descriptors: Image | None = None
+    calibration: CalibrationFinding | None = None
+    times_ns: Mapping[Stage, int] | None = None
+    total_ns: int = 0
+
+    @property
+    def camera_remarks(self) -> tuple[str, ...]:
+        """What people should know of the camera that is used, by what is said of it and by what is seen."""
+        warning = "" if self.calibration is None else self.calibration.warning
+        return (*self.frame.camera_remarks, warning) if warning else self.frame.camera_remarks

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a target has moved to when nothing tells: every shift is tried on a small picture, by cross-correlation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from imgu_ros.errors import NoConsensus
+from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.reference.planar import AlignmentLevel, Target
+from imgu_ros.types import Matrix3
+from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.projective.transform import local_jacobian
+
+#: Side, px, at which the target is compared: small enough to try every shift, large enough to be unlike anything else.
+_SIDE_PX = 40
+_MIN_SIMILARITY = 0.3
+
+
+def shifted_homography(
+    pictures: GreyPyramid, target: Target, H: Matrix3, camera: Camera | None, reach_px: float
+) -> Matrix3:
+    """Move a homography by the shift in the target's plane at which the frame looks most like the target.
+
+    Parameters
+    ----------
+    pictures : the frame's
+    target : the target
+    H : H_image_template in ideal px, right but for a shift
+    camera : intrinsics when the lens distorts; else None
+    reach_px : longest shift, raw px
+
+    Returns
+    -------
+    H_image_template in ideal px, right to about a pixel of the small picture
+
+    Raises
+    ------
+    NoConsensus
+        If nothing in reach looks like the target.
+    """
+    octave = _small(target.octaves(pictures.is_linear))
+    image = octave.level.image
+    height, width = image.shape
+    sx, sy = octave.level.step
+    template_from_octave = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+    frame_from_octave = H @ template_from_octave
+    centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
+    pixel = math.sqrt(abs(float(np.linalg.det(local_jacobian(frame_from_octave, centre)[0]))))
+    halvings = min(max(round(math.log2(max(pixel, 1e-9))), 0), pictures.most_halvings)
+    picture = pictures.halved(halvings)
+    # Beyond its own size the target would be sought where the perspective is another one.
+    room_x, room_y = (min(math.ceil(reach_px / pixel) + 1, side) for side in (width, height))
+    x, y = np.meshgrid(np.arange(-room_x, width + room_x), np.arange(-room_y, height + room_y))
+    at = np.stack((x.ravel(), y.ravel(), np.ones(x.size))).T @ frame_from_octave.T
+    ahead = at[:, 2] > 1e-3 * at[:, 2].max()
+    xy = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
+    if camera is not None:
+        # Far outside, the lens model may be anything.
+        beyond = 2 * max(pictures.shape)
+        xy = camera.raw_pixels(np.clip(xy, -beyond, beyond))
+    scale = 0.5**halvings
+    places = np.clip((xy + 0.5) * scale - 0.5, -30000, 30000).astype(np.float32)
+    places[~ahead] = -30000
+    seen = cv2.remap(
+        picture,
+        places[:, 0].reshape(x.shape),
+        places[:, 1].reshape(x.shape),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    similarity = cv2.matchTemplate(seen, image, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (column, row) = cv2.minMaxLoc(similarity)
+    if not _MIN_SIMILARITY < best <= 1.001:
+        raise NoConsensus(f"track: nothing within {reach_px:.0f} px looks like the target ({best:.2f})")
+    shift = np.array([[1, 0, column - room_x], [0, 1, row - room_y], [0, 0, 1]], np.float64)
+    return np.asarray(frame_from_octave @ shift @ np.linalg.inv(template_from_octave), np.float64)
+
+
+def _small(octaves: Sequence[AlignmentLevel]) -> AlignmentLevel:
+    """Return the octave whose shorter side is nearest to the one that is compared."""
+
+    def off(octave: AlignmentLevel) -> float:
+        return abs(math.log(min(octave.level.image.shape) / _SIDE_PX))
+
+    return min(octaves, key=off)

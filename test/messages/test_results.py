@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imgu_ros.errors import EncodingError
+from imgu_ros.messages.compressed_image import decode_compressed_image
+from imgu_ros.messages.features import (
+    decode_homographies,
+    decode_keypoints,
+    decode_matches,
+    keypoints_message,
+)
+from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.messages.image import decode_image
+from imgu_ros.messages.point_cloud import point_cloud_message
+from imgu_ros.messages.results import (
+    FRAME_OUTPUTS,
+    TARGET_OUTPUTS,
+    compressed_picture_message,
+    level_message,
+    needs_keypoints,
+    target_transforms,
+)
+from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.vision.formation.layout import ColorModel
+
+HEADER = Header(10_250_000_000, "camera")
+
+
+def rejected(result: Result) -> Result:
+    targets = tuple(TargetResult(t.name, t.index, Status.REJECTED, reason="too dark") for t in result.targets)
+    return Result(result.frame, targets, reason="too dark")
+
+
+def test_every_frame_output_carries_the_header_and_its_type(make, result):
+    for output in FRAME_OUTPUTS.values():
+        message = output.message(make, result)
+        assert decode_header(message) == HEADER
+        assert type(message) is type(make(output.type_name))
+
+
+def test_every_target_output_has_its_type(make, result):
+    for topic, output in TARGET_OUTPUTS.items():
+        message = output.message(make, result, result.targets[0], "poster_frame")
+        assert type(message) is type(make(output.type_name))
+        assert decode_header(message).stamp_ns == HEADER.stamp_ns
+        assert decode_header(message).frame_id == ("poster_frame" if topic == "odom" else "camera")
+        assert output.message(make, result, result.targets[1], "box_frame") is None, "a lost target has no geometry"
+
+
+def test_a_rejected_frame_has_a_status_alone(make, result):
+    frame = rejected(result)
+    sent = {topic for topic, output in FRAME_OUTPUTS.items() if output.message(make, frame) is not None}
+    assert sent == {"status"}
+    assert level_message(make, frame, 0) is None
+
+
+def test_pictures(make, result):
+    color = decode_image(FRAME_OUTPUTS["image_color"].message(make, result))
+    assert color.layout.color is ColorModel.RGB
+    np.testing.assert_array_equal(color.pixels, result.developed.color())
+    assert color.pixels.dtype == np.uint16
+    mono = decode_image(FRAME_OUTPUTS["image_mono"].message(make, result))
+    np.testing.assert_array_equal(mono.pixels, result.developed.grey)
+    for level in (0, 1):
+        message = level_message(make, result, level)
+        assert message.encoding == ("32FC1", "mono8")[level]
+        np.testing.assert_array_equal(decode_image(message).pixels, result.pyramid.levels[level].image)
+    assert level_message(make, result, 2) is None
+    assert level_message(make, result, -1) is None
+
+
+def test_compressed_pictures(make, result):
+    color = result.developed.color()
+    deep = compressed_picture_message(make, result, color, "jpeg", 95, 3)
+    assert deep.format == "rgb16; png compressed bgr16", "JPEG has no 16 bits"
+    np.testing.assert_array_equal(decode_compressed_image(deep).pixels[:, :, ::-1], color)
+    grey = result.developed.grey
+    sizes = []
+    for quality in (20, 95):
+        message = compressed_picture_message(make, result, grey, "jpeg", quality, 3)
+        assert message.format == "mono8; jpeg compressed"
+        assert decode_header(message) == HEADER
+        sizes.append(len(message.data))
+    assert sizes[0] < sizes[1]
+    png = compressed_picture_message(make, result, grey, "png", 95, 9)
+    np.testing.assert_array_equal(decode_compressed_image(png).pixels, grey)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "length", "datatype"), [(np.uint8, 32, 2), (np.float32, 128, 7), (np.float32, 81, 7)]
+)
+def test_keypoints(make, result, dtype, length, datatype):
+    keypoints = result.keypoints
+    descriptors = np.random.default_rng(1).integers(0, 256, (6, length)).astype(dtype)
+    message = keypoints_message(make, HEADER, keypoints, descriptors)
+    names = ["x", "y", "scale", "angle", "response", "octave", "descriptor"]
+    assert [(f.name, f.offset, f.datatype, f.count) for f in message.fields] == [
+        *((name, 4 * i, 7 if name != "octave" else 5, 1) for i, name in enumerate(names[:6])),
+        ("descriptor", 24, datatype, length),
+    ]
+    step = 24 + length * np.dtype(dtype).itemsize
+    assert message.point_step == step
+    one = (*keypoints.xy[1], keypoints.scale[1], keypoints.angle[1], keypoints.response[1])
+    assert bytes(message.data)[step : 2 * step] == struct.pack("<5fi", *one, 1) + descriptors[1].tobytes()
+    again, again_descriptors = decode_keypoints(message)
+    np.testing.assert_array_equal(again.xy, keypoints.xy.astype(np.float32))
+    np.testing.assert_array_equal(again.octave, keypoints.octave)
+    np.testing.assert_array_equal(again_descriptors, descriptors)
+    assert again_descriptors.dtype == dtype
+
+
+def test_keypoints_without_descriptors_or_points(make, result):
+    again, descriptors = decode_keypoints(keypoints_message(make, HEADER, result.keypoints, None))
+    assert len(again) == 6
+    assert descriptors is None
+    none = type(again)(again.xy[:0], again.scale[:0], again.angle[:0], again.response[:0], again.octave[:0])
+    again, descriptors = decode_keypoints(keypoints_message(make, HEADER, none, np.zeros((0, 32), np.uint8)))
+    assert len(again) == 0
+    assert descriptors.shape == (0, 32)
+    with pytest.raises(EncodingError, match=r"descriptors: shape \(5, 32\); need \(6, D >= 1\)"):
+        keypoints_message(make, HEADER, result.keypoints, np.zeros((5, 32), np.uint8))
+
+
+def test_matches_of_all_targets(make, result):
+    message = FRAME_OUTPUTS["matches"].message(make, result)
+    assert [f.name for f in message.fields] == [
+        "target", "template_x", "template_y", "image_x", "image_y", "distance", "inlier",
+    ]  # fmt: skip
+    first = result.targets[0].matches
+    row = struct.pack("<i5fB3x", 0, *first.template_xy[1], *first.image_xy[1], 0.125, 0)
+    assert bytes(message.data)[28:56] == row
+    table = decode_matches(message)
+    assert table["target"].tolist() == [0] * 5 + [1] * 3 + [2] * 4
+    assert table["inlier"].tolist() == [1, 0, 1, 0, 1, 1, 0, 1, 1, 0, 1, 0]
+
+
+def test_homographies_of_targets_that_were_seen(make, result):
+    message = FRAME_OUTPUTS["homography"].message(make, result)
+    fields = [(f.name, f.offset, f.datatype, f.count) for f in message.fields]
+    assert fields == [
+        ("target", 0, 5, 1), ("h", 8, 8, 9), ("covariance", 80, 8, 81), ("n_inliers", 728, 5, 1), ("rms_px", 732, 7, 1),
+        ("calibrated", 736, 2, 1), ("sharp", 737, 2, 1),
+    ]  # fmt: skip
+    first = result.targets[0].homography
+    row = struct.pack("<i4x90dif", 0, *first.H.ravel(), *first.covariance.ravel(), 3, 0.375)
+    assert bytes(message.data)[:736] == row
+    table = decode_homographies(message)
+    assert table["target"].tolist() == [0, 2]
+    assert table["n_inliers"].tolist() == [3, 2]
+    assert table["calibrated"].tolist() == [0, 0]
+    np.testing.assert_array_equal(table["h"][1].reshape(3, 3), result.targets[2].homography.H)
+    nothing = replace(result, targets=(result.targets[1],))
+    assert len(decode_homographies(FRAME_OUTPUTS["homography"].message(make, nothing))) == 0
+
+
+def test_a_missing_column_is_named(make):
+    message = point_cloud_message(make, HEADER, np.zeros(1, [("x", "f4"), ("target", "i4")]))
+    for decode, missing in ((decode_keypoints, "y"), (decode_matches, "template_x"), (decode_homographies, "h")):
+        with pytest.raises(EncodingError, match=f"need {missing},"):
+            decode(message)
+
+
+def test_status(make, result):
+    message = FRAME_OUTPUTS["status"].message(make, result)
+    poster, box, floor = message.status
+    levels = [s.level if isinstance(s.level, int) else s.level[0] for s in message.status]
+    assert levels == [0, 1, 0]
+    assert (poster.name, poster.message, poster.hardware_id) == ("poster", "tracked, metric", "camera")
+    assert box.message == "lost: no consensus among 3 matches"
+    assert floor.message == "detected, no_size"
+    assert {pair.key: pair.value for pair in poster.values} == {
+        "status": "tracked",
+        "pose_status": "metric",
+        "n_keypoints": "6",
+        "n_matches": "5",
+        "n_inliers": "3",
+        "rms_px": "0.375",
+        "ambiguity": "0.25",
+        "t_total_ms": "2.0",
+        "t_develop_ms": "1.5",
+        "t_match_ms": "0.25",
+    }
+    assert "rms_px" not in {pair.key for pair in box.values}
+
+
+@pytest.mark.parametrize(
+    ("status", "pose_status", "level"),
+    [
+        (Status.DETECTED, PoseStatus.UNCALIBRATED, 1),
+        (Status.DETECTED, PoseStatus.AMBIGUOUS, 1),
+        (Status.DEGENERATE, PoseStatus.NONE, 1),
+        (Status.REJECTED, PoseStatus.NONE, 2),
+    ],
+)
+def test_status_levels(make, result, status, pose_status, level):
+    changed = replace(result, targets=(TargetResult("poster", 0, status, pose_status),))
+    (entry,) = FRAME_OUTPUTS["status"].message(make, changed).status
+    assert (entry.level if isinstance(entry.level, int) else entry.level[0]) == level
+
+
+def test_tf_of_targets(result):
+    (sent,) = target_transforms(result, "target/")
+    assert (sent.stamp_ns, sent.parent, sent.child) == (HEADER.stamp_ns, "camera", "target/poster")
+    np.testing.assert_array_equal(sent.parent_from_child.matrix, result.targets[0].pose.transform.matrix)
+    assert target_transforms(rejected(result), "") == []
+
+
+def test_odometry_has_the_inverse_pose(make, result):
+    message = TARGET_OUTPUTS["odom"].message(make, result, result.targets[0], "poster")
+    position = message.pose.pose.position
+    np.testing.assert_allclose([position.x, position.y, position.z], result.targets[0].pose.inverse().t)
+
+
+def test_only_keypoints_and_pyramid_need_detection_in_every_frame() -> None:
+    assert needs_keypoints(["pose", "keypoints"])
+    assert needs_keypoints(["pyramid/level_3"])
+    assert not needs_keypoints(["pose", "matches", "homography", "image_mono"])
+    assert not needs_keypoints([])
