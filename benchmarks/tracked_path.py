@@ -31,12 +31,12 @@ from types import FrameType
 
 import numpy as np
 
-from imgu_ros.params import Parameters
-from imgu_ros.perception.chain import Chain
-from imgu_ros.perception.frame import Frame
-from imgu_ros.perception.result import Result
-from imgu_ros.perception.targets import TargetImage, prepare_targets
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.frame import Frame
+from imgu_ros.localizer import Localizer
+from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.report.versions import versions
+from imgu_ros.result import Result
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
@@ -101,7 +101,7 @@ def walk_frames() -> Walks:
 def _pipeline() -> tuple[Callable[[Frame], Result], Iterator[Frame]]:
     """Return what processes one frame, and frames."""
     parameters, images = Parameters(), default_targets(1)
-    chain = Chain(parameters, prepare_targets(images, parameters))
+    chain = Localizer(parameters, prepare_targets(images, parameters))
     chain.prepare()
     return chain.process, _frames(images)
 

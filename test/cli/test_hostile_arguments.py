@@ -96,7 +96,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         importlib.import_module(module)
     for module in (
         "bags.replay",
-        "bags.recording",
+        "replay.recording",
         "perception.chain",
         "report.overlay",
         "cli.board_views",
