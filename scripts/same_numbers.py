@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare the results of `imgu replay` of this working tree with those of another revision, byte for byte.
+
+Both trees replay the same short recordings, each in a process of its own. Compared are `frames.csv` without its times,
+the trajectories, `ambiguous.csv`, `summary.json` without times and versions, the messages of the results bag, and the
+exit code. The recordings and cases are in `same_numbers_cases.py`. Exits 1 when a case differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import importlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+#: Columns of frames.csv that hold times.
+_TIME_COLUMN = re.compile(r"t_\w+_ms")
+#: Parts of summary.json that hold times or versions.
+_TIMES_AND_VERSIONS = re.compile(r"(seconds|frames_per_s|versions|(total|stage)_ms)\b")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first difference of a case: where it is, and the value of each tree (None: missing)."""
+
+    place: str
+    old: str | None
+    new: str | None
+
+    def __str__(self) -> str:
+        return f"{self.place}: {_shown(self.old)} became {_shown(self.new)}"
+
+
+def _shown(value: str | None) -> str:
+    if value is None:
+        return "(missing)"
+    return repr(value if len(value) <= 200 else value[:200] + "...")
+
+
+# Comparison of two folders with results of `imgu replay`.
+
+
+def compare_folders(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Difference | None:
+    """Return the first difference of two folders with results; None when there is none.
+
+    Parameters
+    ----------
+    old, new : folders that `imgu replay` wrote
+    ignored : names of columns of tables, of entries of the summary, and of topics that are not compared
+    """
+    files = {path.name for path in old.iterdir() if not path.name.startswith(".")}
+    for name in sorted(files):
+        if not (new / name).exists():
+            return Difference(name, "a file", None)
+        for difference in _compare_file(old / name, new / name, ignored):
+            return difference
+    return None
+
+
+def _compare_file(old: Path, new: Path, ignored: frozenset[str]) -> Iterator[Difference]:
+    if old.suffix == ".csv":
+        yield from compare_tables(old, new, ignored)
+    elif old.suffix in (".tum", ".exit"):
+        yield from compare_lines(old, new)
+    elif old.name == "summary.json":
+        yield from compare_summaries(old, new, ignored)
+    elif old.is_dir():
+        yield from compare_bags(old, new, ignored)
+
+
+def compare_tables(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
+    """Compare two CSV files, except for columns with times; `new` may have more columns."""
+    (old_columns, old_rows), (new_columns, new_rows) = _table(old), _table(new)
+    columns = [name for name in old_columns if not _TIME_COLUMN.fullmatch(name) and name not in ignored]
+    for name in columns:
+        if name not in new_columns:
+            yield Difference(f"{old.name}, column {name}", "a column", None)
+            return
+    for number, (old_row, new_row) in enumerate(zip(old_rows, new_rows, strict=False), 2):
+        for name in columns:
+            was, is_ = old_row[old_columns.index(name)], new_row[new_columns.index(name)]
+            if was != is_:
+                place = " ".join(old_row[:3])
+                yield Difference(f"{old.name}, line {number} ({place}), column {name}", was, is_)
+    if len(old_rows) != len(new_rows):
+        yield Difference(f"{old.name}, number of rows", str(len(old_rows)), str(len(new_rows)))
+
+
+def _table(path: Path) -> tuple[list[str], list[list[str]]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    return (rows[0], rows[1:]) if rows else ([], [])
+
+
+def compare_lines(old: Path, new: Path) -> Iterator[Difference]:
+    """Compare two text files line by line."""
+    old_lines, new_lines = old.read_text().splitlines(), new.read_text().splitlines()
+    for number, (was, is_) in enumerate(zip(old_lines, new_lines, strict=False), 1):
+        if was != is_:
+            yield Difference(f"{old.name}, line {number}", was, is_)
+    if len(old_lines) != len(new_lines):
+        yield Difference(f"{old.name}, number of lines", str(len(old_lines)), str(len(new_lines)))
+
+
+def compare_summaries(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
+    """Compare two summary.json, except for times and versions; `new` may have more entries."""
+    old_leaves, new_leaves = (dict(_leaves(json.loads(path.read_text()))) for path in (old, new))
+    for name, was in old_leaves.items():
+        if _TIMES_AND_VERSIONS.match(name) or ignored & set(re.split(r"[.\[\]]+", name)):
+            continue
+        is_ = new_leaves.get(name)
+        if was != is_:
+            yield Difference(f"{old.name}, {name}", was, is_)
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        yield f"{name}.length", str(len(value))
+        for number, inner in enumerate(value):
+            yield from _leaves(inner, f"{name}[{number}]")
+    else:
+        yield name, json.dumps(value)
+
+
+def compare_bags(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
+    """Compare the messages of two bags, topic by topic, with their times."""
+    old_topics, new_topics = _messages(old), _messages(new)
+    for topic, old_messages in old_topics.items():
+        if topic in ignored or topic.strip("/") in ignored:
+            continue
+        new_messages = new_topics.get(topic)
+        if new_messages is None:
+            yield Difference(f"{old.name}, topic {topic}", f"{len(old_messages)} messages", None)
+            continue
+        for number, (was, is_) in enumerate(zip(old_messages, new_messages, strict=False)):
+            fields = None if was == is_ else _field_differences(was, is_)
+            if fields is not None:
+                yield Difference(f"{old.name}, topic {topic}, message {number}", *fields)
+        if len(old_messages) != len(new_messages):
+            yield Difference(f"{old.name}, topic {topic}, messages", str(len(old_messages)), str(len(new_messages)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    type_name: str
+    time_ns: int
+    data: bytes
+
+
+def _messages(folder: Path) -> dict[str, list[_Message]]:
+    from rosbags.highlevel import AnyReader
+
+    topics: dict[str, list[_Message]] = {}
+    with AnyReader([folder], default_typestore=_store()) as reader:
+        for connection in reader.connections:
+            topics.setdefault(connection.topic, [])
+        for connection, time_ns, data in reader.messages():
+            topics[connection.topic].append(_Message(connection.msgtype, time_ns, bytes(data)))
+    return topics
+
+
+def _field_differences(old: _Message, new: _Message) -> tuple[str, str] | None:
+    """Return those fields of two messages that differ, as text; None when only times of processing do."""
+    if (old.type_name, old.time_ns) != (new.type_name, new.time_ns):
+        return f"{old.type_name} at {old.time_ns}", f"{new.type_name} at {new.time_ns}"
+    was, is_ = _decoded(old), _decoded(new)
+    names = [name for name in {**was, **is_} if was.get(name) != is_.get(name)]
+    if not names:
+        return None
+    texts = [", ".join(f"{name}={fields.get(name, '(missing)')}" for name in names[:3]) for fields in (was, is_)]
+    return texts[0], texts[1]
+
+
+def _decoded(message: _Message) -> dict[str, str]:
+    return dict(_fields(_store().deserialize_cdr(message.data, message.type_name)))
+
+
+@cache
+def _store() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def _fields(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    if getattr(value, "__msgtype__", "") == "diagnostic_msgs/msg/KeyValue":
+        if not value.key.endswith("_ms"):
+            yield f"{name}({value.key})", repr(value.value)
+    elif hasattr(value, "__dataclass_fields__"):
+        for key in value.__dataclass_fields__:
+            if not key.startswith("__"):
+                yield from _fields(getattr(value, key), f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from _fields(inner, f"{name}[{number}]")
+    elif hasattr(value, "dtype"):
+        for number, inner in enumerate(value.tolist()):
+            yield f"{name}[{number}]", repr(inner)
+    else:
+        yield name, repr(value)
+
+
+# Both trees, each in a process of its own.
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One command line of `imgu` to run; `out` names the files with its output and exit code."""
+
+    arguments: list[str]
+    out: Path
+
+
+def run_jobs(tree: Path, jobs: Iterable[Job], folder: Path) -> subprocess.Popen[bytes]:
+    """Start a process that runs the jobs with the code of `tree`, one after the other."""
+    folder.mkdir(parents=True, exist_ok=True)
+    listing = folder / f"jobs-{time.monotonic_ns()}.json"
+    listing.write_text(json.dumps([[job.arguments, str(job.out)] for job in jobs]))
+    environment = dict(os.environ, PYTHONPATH=str(tree), PYTHONDONTWRITEBYTECODE="1")
+    command = [sys.executable, str(Path(__file__).resolve()), "--run-jobs", str(tree), str(listing)]
+    return subprocess.Popen(command, env=environment, cwd=folder)
+
+
+def entry_point(tree: Path) -> tuple[str, str]:
+    """Return module and function of the command `imgu` of a source tree, as its setup.py or the like declares them."""
+    for name in ("setup.py", "setup.cfg", "pyproject.toml"):
+        path = tree / name
+        found = re.search(r"\bimgu\"?\s*=\s*\"?([\w.]+):(\w+)", path.read_text()) if path.is_file() else None
+        if found:
+            return found[1], found[2]
+    raise SystemExit(f"same_numbers: error: {tree}: no entry point of the command imgu found")
+
+
+def _run_jobs_here(tree: Path, listing: Path) -> int:
+    """Run jobs in this process, which has `tree` on PYTHONPATH."""
+    module_name, function_name = entry_point(tree)
+    module = importlib.import_module(module_name)
+    package = sys.modules[module_name.partition(".")[0]]
+    if not Path(package.__file__ or "").resolve().is_relative_to(tree.resolve()):
+        raise SystemExit(f"same_numbers: error: {package.__file__} was imported; need the package in {tree}")
+    for arguments, out in json.loads(listing.read_text()):
+        with Path(f"{out}.log").open("wb") as log:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            kept = os.dup(1), os.dup(2)
+            os.dup2(log.fileno(), 1)
+            os.dup2(log.fileno(), 2)
+            try:
+                code = getattr(module, function_name)(arguments)
+            except Exception as error:
+                code = f"{type(error).__name__}: {error}"
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os.dup2(kept[0], 1)
+                os.dup2(kept[1], 2)
+                os.close(kept[0])
+                os.close(kept[1])
+        Path(out).mkdir(parents=True, exist_ok=True)
+        (Path(out) / "replay.exit").write_text(f"{code}\n")
+    return 0
+
+
+def export(revision: str, folder: Path) -> str:
+    """Write the files of a git revision into `folder`; return its commit."""
+    commit = subprocess.run(
+        ["git", "-C", str(ROOT), "rev-parse", "--verify", f"{revision}^{{commit}}"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if commit.returncode:
+        raise SystemExit(f"same_numbers: error: {revision}: not a git revision; need a commit, branch or tag")
+    folder.mkdir(parents=True)
+    archive = subprocess.run(
+        ["git", "-C", str(ROOT), "archive", commit.stdout.strip()], capture_output=True, check=True
+    )
+    subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
+    return commit.stdout.strip()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Compare; return the exit code."""
+    parser = argparse.ArgumentParser(prog="scripts/same_numbers", description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument("revision", nargs="?", default="origin/main", metavar="REV", help="default: origin/main")
+    parser.add_argument("--quick", action="store_true", help="a third of the cases")
+    parser.add_argument("--case", action="append", metavar="TEXT", help="only cases whose name contains TEXT; repeat")
+    parser.add_argument(
+        "--ignore", action="append", default=[], metavar="NAME",
+        help="a column, an entry of the summary, or a topic that is not compared (reason, reasons, status); repeat",
+    )  # fmt: skip
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep recordings and results in DIR, which is new")
+    parser.add_argument("--run-jobs", nargs=2, type=Path, help=argparse.SUPPRESS)
+    parsed = parser.parse_args(arguments)
+    if parsed.run_jobs:
+        return _run_jobs_here(*parsed.run_jobs)
+    if parsed.keep is None:
+        with tempfile.TemporaryDirectory(prefix="same_numbers-") as folder:
+            return _compared(parsed, Path(folder))
+    parsed.keep.mkdir(parents=True)
+    return _compared(parsed, parsed.keep.resolve())
+
+
+def _compared(parsed: argparse.Namespace, folder: Path) -> int:
+    from same_numbers_cases import CASES, make_recordings
+
+    cases = [case for case in CASES if case.is_quick or not parsed.quick]
+    if parsed.case:
+        cases = [case for case in cases if any(text in case.name for text in parsed.case)]
+    if not cases:
+        raise SystemExit("same_numbers: error: no case has such a name")
+    trees = {"old": folder / "tree", "new": ROOT}
+    commit = export(parsed.revision, trees["old"])
+    print(f"{len(cases)} cases: {parsed.revision} ({commit[:10]}) and the working tree", flush=True)
+
+    def simulate(commands: list[tuple[list[str], Path]]) -> None:
+        jobs = [Job(command, out) for command, out in commands]
+        if run_jobs(trees["old"], jobs, folder / "recordings").wait():
+            raise SystemExit("same_numbers: error: the recordings could not be made")
+
+    recordings = make_recordings({case.recording for case in cases}, folder / "recordings", simulate)
+    running = []
+    for name, tree in trees.items():
+        results = folder / name
+        jobs = [
+            Job(case.command(recordings[case.recording], results / case.name), results / case.name) for case in cases
+        ]
+        running.append(run_jobs(tree, jobs, results))
+    codes = [process.wait() for process in running]
+    if any(codes):
+        raise SystemExit("same_numbers: error: a process ended before its cases were done")
+    different = 0
+    for case in cases:
+        failure = (folder / "old" / case.name / "replay.exit").read_text().strip()
+        if failure != "0":
+            log = (folder / "old" / f"{case.name}.log").read_text().strip().splitlines()
+            raise SystemExit(f"same_numbers: error: {case.name}: {failure} in {parsed.revision}: {' '.join(log[-1:])}")
+        difference = compare_folders(folder / "old" / case.name, folder / "new" / case.name, frozenset(parsed.ignore))
+        different += difference is not None
+        print(
+            f"{'same  ' if difference is None else 'DIFFERS'} {case.name}" + (f": {difference}" if difference else "")
+        )
+    print(f"{different} of {len(cases)} cases differ" if different else f"{len(cases)} cases are the same")
+    shutil.rmtree(trees["old"], ignore_errors=True)
+    return 1 if different else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
