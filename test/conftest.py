@@ -91,3 +91,14 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 def _reason(report: pytest.TestReport) -> str:
     text = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
     return re.sub(r"^Skipped: ", "", text)
+
+
+@pytest.fixture(params=["ros", "bags"], scope="session")
+def make(request):
+    """A message factory."""
+    if request.param == "ros":
+        pytest.importorskip("sensor_msgs.msg", reason="the `ros` extra is not installed")
+        from imgu_ros.ros.messages import make_message
+    else:
+        from imgu_ros.bags.messages import make_message
+    return make_message

@@ -17,7 +17,6 @@ from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
-from imgu_ros.vision.keypoints.keypoints import rounded_to_float32
 from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
 
 #: A level with a shorter side than this has too few keypoints for its cost.
@@ -73,7 +72,7 @@ def described_features(pyramid: Pyramid, parameters: Parameters, clock: StageClo
         keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count, fast_arc=p.keypoints.fast_arc)
     with clock.measures(Stage.DESCRIBE):
         described = describe(pyramid, keypoints, p.descriptor.kind)
-        return Features(pyramid, Descriptions(rounded_to_float32(described.keypoints), described.descriptors))
+        return Features(pyramid, Descriptions(described.keypoints.rounded_to_float32(), described.descriptors))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

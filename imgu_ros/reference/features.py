@@ -16,7 +16,7 @@ from imgu_ros.image.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import OF_EVERY_SCALE, Detector, detect
-from imgu_ros.vision.keypoints.keypoints import Keypoints, rounded_to_float32
+from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.metrics import Metric, metric_for
 from imgu_ros.vision.scale_space.pyramid import PyramidKind, band_passed, build_pyramid
@@ -233,6 +233,6 @@ def _described(grey: Image, options: DescriptionOptions, count: int, scales: _Sc
 
 
 def _gathered(described: Descriptions, options: DescriptionOptions) -> TargetFeatures:
-    described = Descriptions(rounded_to_float32(described.keypoints), described.descriptors)
+    described = Descriptions(described.keypoints.rounded_to_float32(), described.descriptors)
     gallery = prepare_gallery(described.descriptors, options.metric, described.keypoints.xy)
     return TargetFeatures(described, gallery)

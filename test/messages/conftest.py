@@ -20,17 +20,6 @@ from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.scale_space.pyramid import Level, Pyramid
 
 
-@pytest.fixture(params=["ros", "bags"], scope="session")
-def make(request):
-    """A message factory."""
-    if request.param == "ros":
-        pytest.importorskip("sensor_msgs.msg", reason="the `ros` extra is not installed")
-        from imgu_ros.ros.messages import make_message
-    else:
-        from imgu_ros.bags.messages import make_message
-    return make_message
-
-
 def make_pose(seed: int, sigma: float = 0.01) -> Pose:
     root = np.random.default_rng(seed).normal(size=(6, 6)) * sigma
     return Pose(Rotation.random(random_state=seed).as_matrix(), np.array([0.1, -0.2, 1.5 + seed]), root @ root.T, 0.2)

@@ -116,7 +116,9 @@ def test_what_was_found_is_not_looked_at_again(targets: tuple, two_target_frames
     pictures = GreyPyramid(develop(simulated.frame.image, parameters.raw, parameters.demosaic))
     features = find_features(pictures, parameters, StageClock())
     view = seeking.View(simulated.frame, pictures, features, [outline])
-    again = list(seeking.Seeker(targets, parameters).seek(view, [0, 1], StageClock(), although_tracked=False))
+    again = list(
+        seeking.ReferenceDetector(targets, parameters).seek(view, [0, 1], StageClock(), although_tracked=False)
+    )
     assert {r.index: r.status.found for r in again} == {0: False, 1: True}
 
 

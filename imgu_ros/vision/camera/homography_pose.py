@@ -85,12 +85,12 @@ def poses_of_homography(
     --------
     Points of a picture printed at a centimetre a pixel, two metres ahead and tilted by half a radian:
 
-    >>> from imgu_ros.vision.projective import condensed_homography
+    >>> from imgu_ros.vision.projective import homography_normal_equations
     >>> from imgu_ros.vision.projective import PlaneMotion
     >>> K, plane_from_px, R = np.diag([500.0, 500, 1]), np.diag([0.01, 0.01, 1]), exp_so3([0.5, 0, 0])
     >>> H = K @ np.column_stack((R[:, :2], [0, 0, 2])) @ plane_from_px
     >>> motions, still = PlaneMotion([[-30, -30], [30, -30], [30, 30], [-30, 30], [10, 2], [-3, 9]]), np.zeros((6, 2))
-    >>> seen = condensed_homography(motions, still, motions.fit(still, np.ones(6, bool)), H, np.eye(3))
+    >>> seen = homography_normal_equations(motions, still, motions.fit(still, np.ones(6, bool)), H, np.eye(3))
     >>> best = poses_of_homography(seen, K, plane_from_px).solutions[0]
     >>> (best.t.round(6) + 0.0).tolist(), bool(np.allclose(best.R, R))
     ([0.0, 0.0, 2.0], True)

@@ -76,6 +76,13 @@ class Keypoints:
         which = _as_choice(which, len(self.xy))
         return Keypoints(self.xy[which], self.scale[which], self.angle[which], self.response[which], self.octave[which])
 
+    def rounded_to_float32(self) -> Keypoints:
+        """Return the keypoints with their positions rounded to float32, as messages carry them.
+
+        A subscriber that estimates a homography from published keypoints then gets the same one, to the last digit.
+        """
+        return replace(self, xy=self.xy.astype(np.float32).astype(np.float64))
+
 
 def on_level(keypoints: Keypoints, level: Level) -> Corners:
     """Return the keypoints in the coordinates of a pyramid level."""
@@ -97,11 +104,3 @@ def _as_choice(which: ArrayLike, count: int) -> Indices | Mask:
     if len(chosen) and not -count <= int(chosen.min()) <= int(chosen.max()) < count:
         raise ShapeError(f"which: {chosen.min()} to {chosen.max()}; need 0 to {count - 1}")
     return np.asarray(chosen, np.intp)
-
-
-def rounded_to_float32(keypoints: Keypoints) -> Keypoints:
-    """Return keypoints with their positions rounded to float32, as messages carry them.
-
-    A subscriber that estimates a homography from published keypoints then gets the same result, to the last digit.
-    """
-    return replace(keypoints, xy=keypoints.xy.astype(np.float32).astype(np.float64))

@@ -166,7 +166,8 @@ class Patches:
             raise ShapeError(f"first: {shown_value(first)}; need 0 to {len(self.chosen)}")
         if not isinstance(bend, LocalDistortion | None) or not isinstance(sheet, PatchAtlas | None):
             raise ShapeError(
-                f"bend, sheet: {shown_value(bend)}, {shown_value(sheet)}; need a LocalBend or None, a Sheet or None"
+                f"bend, sheet: {shown_value(bend)}, {shown_value(sheet)}; "
+                "need a LocalDistortion or None, a PatchAtlas or None"
             )
         if sheet is not None and (len(sheet.origins) < first or picture.shape[1] != sheet.side):
             raise ShapeError(

@@ -37,7 +37,7 @@ class PatchAtlas:
 
     Examples
     --------
-    >>> sheet = Sheet([[2, 0], [6, 2]], 4)
+    >>> sheet = PatchAtlas([[2, 0], [6, 2]], 4)
     >>> sheet.cut(np.arange(80, dtype=np.uint8).reshape(8, 10))[4].tolist()
     [26, 27, 28, 29]
     >>> ([7, 3] + sheet.shift[1]).tolist()

@@ -112,7 +112,7 @@ def homography_normal_equations(
     >>> points = np.array([[10, 10], [90, 12], [88, 70], [9, 72], [50, 40], [30, 60]])
     >>> motions, displacements = PlaneMotion(points), np.tile([1.0, 0.0], (6, 1))
     >>> start = motions.fit(displacements, np.ones(6, bool))
-    >>> found = condensed_homography(motions, displacements, start, np.eye(3), np.diag([0.5, 0.5, 1]))
+    >>> found = homography_normal_equations(motions, displacements, start, np.eye(3), np.diag([0.5, 0.5, 1]))
     >>> H = found.estimate.H / found.estimate.H[2, 2]
     >>> (H.round(6) + 0.0).tolist()
     [[0.5, 0.0, -1.0], [0.0, 0.5, 0.0], [0.0, 0.0, 1.0]]
