@@ -25,13 +25,15 @@ from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 
-#: Up to so many missing targets, each is looked for; of more, those that the index names.
+#: Up to so many missing references are searched one by one; among more, the index chooses.
 _DIRECT = 3
-#: Failures after which the less likely targets are left.
+#: Number of failures in a row after which the less likely references are skipped. Measured: benchmarks/thresholds.py,
+#: study many.
 _FAILURES = 3
-#: Votes without which a target is not looked for.
+#: Votes of the index without which a reference is not searched. Measured: benchmarks/thresholds.py, study many.
 _FEWEST_VOTES = {SearchPass.FIRST: 3, SearchPass.CLOSE: 5, SearchPass.THOROUGH: 5}
-#: What is known to be covered is drawn at an eighth of the resolution.
+#: Areas covered by references already found are drawn at an eighth of the resolution: exact enough to leave out
+#: keypoints.
 _MASK_STEP = 8
 
 

@@ -19,7 +19,7 @@ from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
 
-#: A level with a shorter side than this has too few keypoints for its cost.
+#: A level with a shorter side holds hardly two descriptor patches of 31 px: too few keypoints for its cost.
 _SMALLEST_SIDE_PX = 64
 
 

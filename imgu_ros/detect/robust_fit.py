@@ -32,11 +32,13 @@ from imgu_ros.vision.projective.transform import faces_camera
 #: Comparing it with the frame tells it from chance better: with both, one in ten seen small or steeply was lost
 #: (`imgu bench --suite detection --conditions size-10,tilt-70`).
 _BY_CHANCE = 1e-3
-#: Halvings of what patches do not confirm: its covariance is not one to judge a calibration by.
+#: Number of halvings reported where patches did not confirm a pose: its covariance must not judge a calibration.
 _NOT_SHARP = 1
-#: How wrong, raw px, a homography of keypoints may be.
+#: Largest error of a homography from keypoints that alignment must bridge, raw px. Measured: benchmarks/thresholds.py,
+#: study detection.
 _DETECTION_REACH_PX = 8.0
-#: Of the patches in view, spread over the target, the share that says as much as comparing all of it.
+#: Share of the patches in view that must agree to make a comparison of the whole reference unnecessary. Measured:
+#: benchmarks/thresholds.py, study detection.
 _CONFIRMING_SHARE = 0.8
 
 

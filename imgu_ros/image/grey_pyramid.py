@@ -10,6 +10,8 @@ from imgu_ros.image.development import Developed
 from imgu_ros.types import Image
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
 
+#: A level whose shorter side is below this shows nothing that patches could be aligned with: they are 11 px wide by
+#: default.
 _SMALLEST_SIDE_PX = 8
 
 

@@ -18,28 +18,34 @@ from imgu_ros.vision.camera.calibration_test import CalibrationTest
 from imgu_ros.vision.camera.camera_covariance import factor_of
 from imgu_ros.vision.camera.intrinsics import Camera
 
-#: Views that are weighed together, the newest.
+#: Number of views that are weighed together, the newest. Measured: benchmarks/thresholds.py, study calibration.
 _VIEWS = 48
-#: A view is another one when a corner has moved by this share of the target's size: a camera that stands still repeats
-#: its errors.
+#: A view is new when a corner has moved by this share of the target's size: a camera at rest repeats its errors.
+#: Measured: benchmarks/thresholds.py, study calibration.
 _MOVED = 0.03
-#: Views are weighed anew when this share of them is new; of more than so many, one in so many frames is looked at: what
-#: is known by then changes slowly, and a frame has more to do.
+#: Views are weighed again when this share of them is new. Measured: benchmarks/thresholds.py, study calibration.
 _NEW_SHARE = 0.25
+#: With so many views, only one in so many frames is examined: the estimate changes slowly by then.
 _MANY, _PAUSE = 16, 5
-#: A difference that counts: in standard deviations, more for few views, and as a share of the focal length.
-#: `benchmarks/calibration_misfit.py` tells how far right calibrations stay below.
+#: A difference counts from this many standard deviations, times 1 + _FOR_FEW / views. `benchmarks/calibration_misfit.py
+#: --part noise` gives the margin of correct calibrations. Measured: benchmarks/thresholds.py, study calibration.
 _SIGMAS, _FOR_FEW = 5.0, 2.0
+#: Smallest difference that counts, as a share of the focal length. Measured: benchmarks/thresholds.py, study
+#: calibration.
 _LEAST = 0.005
-#: Prints and lens models are not better than this share of the focal length.
+#: Accuracy of prints and lens models, as a share of the focal length. Measured: benchmarks/thresholds.py, study
+#: calibration.
 _FLOOR = 0.001
-#: Of the squared misfit beyond chance, what the focal length must explain to be named, and to stay so.
+#: Share of the squared misfit that the focal length must explain to be named, and to stay named. Measured:
+#: benchmarks/thresholds.py, study calibration.
 _MOST, _MOST_HELD = 0.9, 0.75
-#: Views that tell what is wrong, and standard deviations that are said after fewer.
+#: Fewest views from which the cause is named; with fewer, standard deviations from which it is. Measured:
+#: benchmarks/thresholds.py, study calibration.
 _TELLING_VIEWS, _BEYOND_DOUBT = 4, 25.0
-#: Squared residuals so many times those of chance, over so many views at least, that no calibration explains.
+#: Squared residuals, in units of those expected, that no calibration explains, and fewest views for that. Measured:
+#: benchmarks/thresholds.py, study calibration.
 _SCATTERED, _SCATTERED_VIEWS = 8.0, 8
-#: What was once said is taken back below this share of what it took.
+#: A warning is withdrawn below this share of the thresholds. Measured: benchmarks/thresholds.py, study calibration.
 _HELD = 0.6
 
 

@@ -17,6 +17,7 @@ from imgu_ros.vision.camera.rotation import exp_so3, log_so3
 _MEMORY_NS = 10_000_000_000
 #: Stamps that go back by more begin anew: a bag that starts over.
 _JUMP_NS = 1_000_000_000
+#: Most transforms kept of one frame: 10 s at 400 Hz.
 _MOST_SAMPLES = 4096
 #: Deeper trees than any robot's; a circle ends there.
 _MOST_LEVELS = 256

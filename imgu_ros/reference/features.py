@@ -21,23 +21,33 @@ from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.metrics import Metric, metric_for
 from imgu_ros.vision.scale_space.pyramid import PyramidKind, band_passed, build_pyramid
 
-#: A target may fill this many times the frame's longer side.
+#: Largest size at which a reference is described, in the frame's longer side. Measured: benchmarks/thresholds.py, study
+#: detection.
 _LARGEST_VIEW = 2
-#: Keypoints of a target for each of the frame's: it is described at every scale.
+#: Keypoints of a reference for each of the frame's: it is described at every scale. Measured: benchmarks/thresholds.py,
+#: study detection.
 _RICHNESS = 1.5
+#: A level with a shorter side holds little more than one descriptor patch of 31 px.
 _SMALLEST_SIDE_PX = 48
-#: Oblique views: descriptors bear about 45 degrees of tilt, so that one of 60 reaches beyond 70 (Yu & Morel 2011).
+#: Oblique views are shortened by this factor, a tilt of 60 degrees: descriptors bear about 45 degrees of tilt, so that
+#: these reach beyond 70 (Yu & Morel 2011). Measured: benchmarks/thresholds.py, study detection.
 _SHORTENING = 2
+#: Number of directions of tilt among the oblique views. Measured: benchmarks/thresholds.py, study detection.
 _DIRECTIONS = 4
-#: Keypoints of an oblique view for each of the frame's in a thorough search.
+#: Keypoints of an oblique view for each of the frame's in a thorough search. Measured: benchmarks/thresholds.py, study
+#: detection.
 _OBLIQUE_RICHNESS = 0.4
-#: For a target seen from near: how many times the frame's longer side it may fill, how far its picture is enlarged for
-#: that, over how many octaves, and keypoints for each of the frame's.
+#: Largest size at which a reference seen from near is described, in the frame's longer side. Measured:
+#: benchmarks/thresholds.py, study detection.
 _CLOSEST_VIEW = 4
+#: Factor by which the image is enlarged for the view from near. Measured: benchmarks/thresholds.py, study detection.
 _ENLARGED = 2
+#: Octaves of scale of the view from near. Measured: benchmarks/thresholds.py, study detection.
 _CLOSE_OCTAVES = 2
+#: Keypoints of the view from near for each of the frame's. Measured: benchmarks/thresholds.py, study detection.
 _CLOSE_RICHNESS = 6
-#: Samples of a thorough search for each of a first look: of many more matches fewer are right.
+#: Samples of a thorough search for each of a first search: of many more matches a smaller share is right. Measured:
+#: benchmarks/thresholds.py, study detection.
 _MORE_SAMPLES = 3
 
 
@@ -211,6 +221,7 @@ class _Scales:
     even: bool
 
 
+#: 32 levels are more than any image has: the smallest side ends the pyramid.
 _EVERY_SCALE = _Scales(_LARGEST_VIEW, levels=32, even=True)
 
 

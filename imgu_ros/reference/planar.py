@@ -31,8 +31,11 @@ from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
 
+#: Weakest corner for a patch, as a share of the strongest response. Measured: benchmarks/thresholds.py, study tracking.
 _CORNER_QUALITY = 0.005
+#: Smallest distance of two patch centres, px of the level. Measured: benchmarks/thresholds.py, study tracking.
 _CORNER_DISTANCE_PX = 6
+#: The best-spread patches come first: sets of so many and more patches are each spread over the whole image.
 _FIRST_SPREAD = 40
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from imgu_ros.reference.planar import Target
 from imgu_ros.result import Result
 
-#: A print this wide, seen from this far: a width in centimetres or millimetres, far more often than a facade. A landing
-#: pad 5 m wide may be seen from 80 m, and a floor 12 m wide from 3 m.
+#: A print this wide, seen from as far as `_FAR_M`, has its width in centimetres or millimetres far more often than it
+#: is a facade. A landing pad 5 m wide may be seen from 80 m, and a floor 12 m wide from 3 m.
 _WIDE_M = 10.0
+#: See `_WIDE_M`.
 _FAR_M = 10.0
 #: No lens but a microscope's is nearer than this.
 _NEAR_M = 0.01

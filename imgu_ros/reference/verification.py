@@ -21,7 +21,8 @@ from imgu_ros.reference.planar import AlignmentLevel, Target
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 
-#: Standard deviation of a target's cell, grey values, below which it says nothing.
+#: Standard deviation of a cell of the reference, grey values, below which it has too little contrast to count.
+#: Measured: benchmarks/thresholds.py, study confirmation.
 _FLAT = 4.0
 
 
@@ -47,10 +48,11 @@ class Comparison:
 #: The four cells beside one.
 _BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
 
-#: Small cells, as what covers a part of a cell spoils all of it. Where 60 % of a target is covered 0.33 to 0.38 look as
-#: they should; where another picture shares the upper 30 % of it, up to 0.31.
+#: Small cells: an occluder spoils every cell that it touches. Between the shares of references that are 60 % hidden and
+#: those of an image that has the upper 30 % of the reference and nothing else of it. Measured:
+#: benchmarks/thresholds.py, study confirmation.
 FINE = Comparison(cells=32, samples=5, alike=0.75, fewest=24, needed=0.325)
-#: Large ones still correlate in a blurred frame.
+#: Large cells still correlate in a blurred frame. Measured: benchmarks/thresholds.py, study confirmation.
 COARSE = Comparison(cells=16, samples=8, alike=0.6, fewest=12, needed=0.45)
 
 

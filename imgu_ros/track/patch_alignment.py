@@ -18,20 +18,31 @@ from imgu_ros.vision.matching.blur_gain import BlurGain
 from imgu_ros.vision.projective.increments import Motion
 from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
 
-#: A patch that looks less alike, or lies farther away than a share of its side, is not the one that is sought.
+#: Smallest correlation of a patch that is used. Measured: benchmarks/thresholds.py, study tracking.
 _MIN_SIMILARITY = 0.5
+#: Largest displacement of a patch that is used, as a share of its side. Measured: benchmarks/thresholds.py, study
+#: tracking.
 _FARTHEST_SHARE = 0.5
+#: Fewest patches that must be usable in each iteration; a homography needs four. Measured: benchmarks/thresholds.py,
+#: study tracking.
 _FEWEST_AT_FIRST = 6
-#: Patches of the first rounds, and by how little they move when the others join, px of the picture.
+#: Number of patches in the first iterations; the others join when these move little. Measured:
+#: benchmarks/thresholds.py, study tracking.
 _SCOUTS = 60
+#: The other patches join when the first ones move less, px of the level. Measured: benchmarks/thresholds.py, study
+#: tracking.
 _SCOUTED_PX = 0.3
-#: A last round that moves a patch farther has not arrived anywhere, px of the picture.
+#: Largest motion in the last iteration that still counts as converged, px of the level. Measured:
+#: benchmarks/thresholds.py, study tracking.
 _SETTLED_PX = 0.5
-#: Patches that look less alike, in the middle, are seen blurred: the rounds come nearer by less than they say, and go
-#: on until they move by less.
+#: A median correlation below this means that the image is blurred: iterations then fall short of the displacement.
+#: Measured: benchmarks/thresholds.py, study blur.
 _SHARP_SIMILARITY = 0.9
+#: Factor on the motion at which iterations stop, where the image is blurred. Measured: benchmarks/thresholds.py, study
+#: blur.
 _BLURRED_SHARE = 0.2
-#: Fewer patches are told an affine motion: two numbers less to be wrong.
+#: With fewer patches an affine motion is fitted: two parameters less. Measured: benchmarks/thresholds.py, study
+#: tracking.
 _ENOUGH_FOR_PROJECTIVE = 40
 
 

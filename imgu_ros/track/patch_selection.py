@@ -19,13 +19,15 @@ from imgu_ros.vision.matching.patch_atlas import TALLEST_PX, PatchAtlas
 from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.projective.transform import area_factor
 
-#: Room around the patches on a sheet, px: for their motion, for interpolation, and for the mosaic's.
+#: Margin around the patches of an atlas, px: for their motion, for interpolation, and for demosaicking. Measured:
+#: benchmarks/thresholds.py, study tracking.
 _SHEET_ROOM_PX = 4
-#: A sheet larger than this share of the frame saves nothing.
+#: Largest area of an atlas, as a share of the frame: a larger one saves nothing. Measured: benchmarks/thresholds.py,
+#: study tracking.
 _SHEET_SHARE = 0.4
-#: A square's side, px, that is too large for any sheet.
+#: Side of a square, px, that is too large for any atlas.
 _NO_SIDE = 1_000_000
-#: By how much a lens may enlarge patches.
+#: Factor by which lens distortion may enlarge patches. Measured: benchmarks/thresholds.py, study tracking.
 _MOST_STRETCHED = 1.3
 
 

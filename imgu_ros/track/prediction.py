@@ -17,13 +17,18 @@ from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 from imgu_ros.vision.projective.transform import inverse3
 
-#: Between these quotients of two intervals the motion goes on, by as much more or less; else the target is looked for
-#: where it was. Intervals that differ by less than this share are the same.
+#: Range of the ratio of two frame intervals within which the motion is extrapolated; outside, the last position is
+#: used. Measured: benchmarks/thresholds.py, study reach.
 _STEADY = (0.2, 5.0)
+#: Intervals that differ by less than this share count as equal. Measured: benchmarks/thresholds.py, study reach.
 _SAME = 0.1
+#: Smallest mean distance of the corners from their centre, px: below any reference in view; prevents a division by
+#: zero.
 _SMALLEST_PX = 1e-6
+#: Number of observations kept: constant acceleration needs three.
 _MOST_SIGHTINGS = 3
-#: What is left of a surprise in the next frame.
+#: Share of the last prediction error that is still expected in the next frame. Measured: benchmarks/thresholds.py,
+#: study reach.
 _MEMORY = 0.5
 
 

@@ -19,21 +19,30 @@ from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations
 
-#: Patches bridge errors of about so many pixels of the picture that they are sought in.
+#: Largest error that patches bridge, px of the level in which they are aligned. Measured: benchmarks/thresholds.py,
+#: study reach.
 _REACH_PX = 3.0
-#: The target's side in the coarsest picture.
+#: Smallest side of the reference in the coarsest level. Measured: benchmarks/thresholds.py, study reach.
 _COARSEST_SIDE_PX = 60
-#: Halvings from one picture to the next.
+#: Number of halvings from one level to the next. Measured: benchmarks/thresholds.py, study reach.
 _STRIDE = 2
-#: A picture halved more often is good for a start, not for a result; and of the patches in it this share must agree.
+#: Levels halved more often give a start, not a result. Measured: benchmarks/thresholds.py, study blur.
 _COARSEST_RESULT = 2
+#: Share of the patches that must agree in a reduced level. Measured: benchmarks/thresholds.py, study tracking.
 _COARSE_SHARE = 0.5
-#: Where displacements go only so far, patches of a reduced picture tell more than those of full resolution.
+#: Below this blur gain, patches of a reduced level are more accurate than those of full resolution. Measured:
+#: benchmarks/thresholds.py, study blur.
 _BLURRED = 0.6
+#: Number of patches in a level that gives a start. Measured: benchmarks/thresholds.py, study reach.
 _COARSE_PATCHES = 80
+#: Most iterations in a level that gives a start. Measured: benchmarks/thresholds.py, study reach.
 _COARSE_STEPS = 8
+#: Motion below which iterations stop in such a level, px of the level. Measured: benchmarks/thresholds.py, study reach.
 _COARSE_ENOUGH_PX = 0.2
+#: Most iterations in the level that gives the result. Measured: benchmarks/thresholds.py, study tracking.
 _FINE_STEPS = 10
+#: Motion below which iterations stop there, px of the level: the last fit is exact to first order in it. Measured:
+#: benchmarks/thresholds.py, study tracking.
 _FINE_ENOUGH_PX = 0.15
 
 

@@ -16,8 +16,10 @@ from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.projective.transform import local_jacobian
 
-#: Side, px, at which the target is compared: small enough to try every shift, large enough to be unlike anything else.
+#: Size at which the reference is compared: small enough to try every shift, large enough to be distinctive. Measured:
+#: benchmarks/thresholds.py, study reach.
 _SIDE_PX = 40
+#: Smallest correlation of the best shift. Measured: benchmarks/thresholds.py, study reach.
 _MIN_SIMILARITY = 0.3
 
 

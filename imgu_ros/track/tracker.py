@@ -17,14 +17,18 @@ from imgu_ros.track.shift_search import shifted_homography
 from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 
-#: Of the patches sought, the share that must agree for a track to hold.
+#: Share of the patches that must agree for a track to hold. Measured: benchmarks/thresholds.py, study tracking.
 _HELD_SHARE = 0.25
+#: Largest RMS residual of a track that holds, px of the level. Measured: benchmarks/thresholds.py, study tracking.
 _HELD_RMS_PX = 0.5
-#: A prediction may be wrong by this many times as much as the one before it was, and by this much at least, raw px.
+#: The next prediction may be wrong by this factor times the last prediction error. Measured: benchmarks/thresholds.py,
+#: study reach.
 _SURPRISE = 1.5
+#: Smallest prediction error allowed for, raw px. Measured: benchmarks/thresholds.py, study reach.
 _LEAST_REACH_PX = 2.0
-#: What is to be aligned when no motion is known, raw px, and the longest shift before it, a share of the frame's width.
+#: Prediction error allowed for when no motion is known, raw px. Measured: benchmarks/thresholds.py, study reach.
 _UNKNOWN_REACH_PX = 24.0
+#: Longest shift that is searched, as a share of the frame's width. Measured: benchmarks/thresholds.py, study reach.
 _LONGEST_SHIFT = 0.1
 
 

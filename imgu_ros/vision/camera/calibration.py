@@ -26,22 +26,26 @@ from imgu_ros.vision.camera.view_choice import without_copies
 from imgu_ros.vision.estimation.nonlinear import Minimum, minimise
 from imgu_ros.vision.projective.fit import require_spread
 
+#: Three views determine the five numbers of K (Zhang 2000, section 3.1).
 FEWEST_VIEWS = 3
 #: Focal lengths that are tried, as shares of the picture's longer side: 127 to 13 degrees of view.
 _FOCAL_SHARES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
-#: Views from which the start's focal length is chosen.
+#: Number of views from which the initial focal length is chosen: the choice is coarse, and time grows with it.
 _TRIED_VIEWS = 6
-#: A view is an outlier when its residual is this many times the median view's, and worth more than a trifle.
+#: A view is an outlier when its residual is this many times that of the median view. Measured:
+#: benchmarks/thresholds.py, study boards.
 _OUTLIER_RATIO = 3.0
+#: No view with a smaller residual, px, is an outlier. Measured: benchmarks/thresholds.py, study boards.
 _OUTLIER_PX = 0.1
-#: The largest share of the focal length that its standard deviation may be.
+#: Largest standard deviation of the focal length of a calibration that is returned, as a share of it.
 _LARGEST_SIGMA = 0.1
-#: A rational model over a moderate view has coefficients that nearly cancel: a long, narrow valley.
+#: A rational model over a moderate field of view has coefficients that nearly cancel: a long, narrow valley.
 _MAX_STEPS = 1000
 #: The share of its standard deviation to which every parameter is found, and of the cost by which it is to fall.
 _TOLERANCE = 1e-6
 #: Smallest diagonal element of the triangular factor of J with columns of unit length.
 _RANK_TOLERANCE = 1e-11
+#: Larger numbers are no coordinates of a picture or a board, px or m.
 _LARGEST = 1e9
 
 

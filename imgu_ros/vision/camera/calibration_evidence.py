@@ -20,23 +20,32 @@ from imgu_ros.vision.camera.intrinsics import Camera
 #: as a share of the focal length. Zoom, focus and another resolution change the first, windows the last two; pixels
 #: are square.
 _SHAPE = np.array([1.0, 0.1, 1.0, 1.0])
-#: Factors that are weighed against each other, and the one that a robust fit starts from.
+#: Factors that are weighed against each other: 60 values from 0.01 % to 50 %, 15 % apart, finer than the data
+#: distinguish.
 _FACTORS = np.geomspace(1e-4, 0.5, 60)
+#: Prior standard deviation of the robust fit, as a share of the focal length: wider than any calibration in use is
+#: wrong.
 _WIDE = 0.3
+#: Larger residuals, in standard deviations, are no residuals of points in a plane.
 _LARGEST = 1e6
 #: Standard deviation of a focal length, as a share of it, of which nothing is known.
 _NOTHING = 1e3
-#: Twice the logarithm of the likelihoods' quotient beyond which a misfit is no chance. Independent views reach 12 once
-#: in 2000 tests, but frames that follow each other share errors: `benchmarks/calibration_misfit.py --part noise`.
+#: Twice the logarithm of the likelihood ratio beyond which a misfit is significant. Independent views reach 12 once in
+#: 2000 tests, but consecutive frames share errors: `benchmarks/calibration_misfit.py --part noise`. Measured:
+#: benchmarks/thresholds.py, study calibration.
 _BY_CHANCE = 30.0
 #: A view whose squared residual is larger (99 % of chi-squared with 2 degrees of freedom) counts for less.
 _OUTLYING = 9.21
+#: Median of chi-squared with 2 degrees of freedom, 2 ln 2.
 _MEDIAN = 1.386
-#: Poses are linear in the camera's numbers to so many times the square of what is wrong.
+#: Poses are linear in the intrinsics up to this factor times the square of their error. Measured:
+#: benchmarks/thresholds.py, study calibration.
 _SECOND_ORDER = 4.0
-#: Views that follow each other share errors of prints and patches: the best numbers are off by such a share of the
-#: focal length, however many views there are (`benchmarks/calibration_misfit.py --part focal`: told beside true).
+#: Consecutive views share errors of prints and patches: the estimate is wrong by this share of the focal length,
+#: however many views there are (`benchmarks/calibration_misfit.py --part focal`). Measured: benchmarks/thresholds.py,
+#: study calibration.
 _SHARED = 1e-3
+#: Iterations of reweighting: bounds the time.
 _ROUNDS = 4
 #: Fewest views whose scatter tells how honest the covariances of their residuals are.
 _SCATTER_VIEWS = 6

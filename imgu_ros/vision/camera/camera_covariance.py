@@ -16,6 +16,7 @@ from imgu_ros.vision.camera.intrinsics import Camera
 
 #: Of the largest element: an asymmetry or a negative eigenvalue so small is rounding (numbers written with 6 digits).
 _ROUNDING = 1e-5
+#: Squares of larger variances overflow.
 _LARGEST = 1e100
 
 

@@ -22,6 +22,7 @@ from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.estimation.settling import InlierFit
 
+#: Singular values below this share of the largest: the sample leaves the camera matrix undetermined.
 _RANK_TOLERANCE = 1e-6
 #: px, beyond which no picture reaches.
 _LARGEST = 1e30

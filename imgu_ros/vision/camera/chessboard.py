@@ -16,11 +16,15 @@ from imgu_ros.types import Image, Points, as_image
 
 #: The board is looked for in a picture of at most this size: enough to tell squares apart, and quick.
 _LONGEST_SIDE = 960
+#: Inner corners along a side that OpenCV's detector needs.
 FEWEST_CORNERS = 3
+#: Boards with more corners along a side do not exist; the detector's time grows with their number.
 _MOST_CORNERS = 100
 #: Half a corner's window, as a share of the distance to the next corner: no other corner may be in it.
 _WINDOW_SHARE = 0.35
+#: Limits of that half window, px: 5 px across are the fewest for a corner's gradients; above 23, time grows.
 _SMALLEST_WINDOW, _LARGEST_WINDOW = 2, 11
+#: 60 iterations, or a step of 0.0001 px: far below the noise of a corner.
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
 

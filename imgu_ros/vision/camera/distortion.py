@@ -27,8 +27,10 @@ from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.sensor_tilt import tilt_derivatives, tilt_matrix
 
+#: Most iterations of Newton's method: points near the fold of the model take many.
 _MAX_STEPS = 50
 _TOLERANCE = 1e-13  # normalised image units: below 1e-9 px for any real focal length
+#: Bisections of an angle below a quarter turn until float64 resolves no further.
 _BISECTIONS = 60
 #: A tangential part moves the fold a little off its radius without it.
 _FOLD_MARGIN = 1.2

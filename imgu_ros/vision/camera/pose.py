@@ -11,6 +11,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3, as_floats
 from imgu_ros.vision.camera.rigid import RigidTransform
 
+#: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
 
 

@@ -30,10 +30,13 @@ from imgu_ros.vision.estimation.nonlinear import minimise
 from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.settling import InlierFit
 
+#: Three points leave up to four poses; the fourth chooses.
 _FEWEST_POINTS = 4
+#: The three points of a sample agree with its pose; three more must confirm it.
 _FEWEST_INLIERS = 6
 #: Smallest extent of the points across their main line, as a share of the largest (both RMS).
 _NARROWEST = 1e-3
+#: Larger numbers are no coordinates of a scene or a picture, m or px.
 _LARGEST = 1e9
 
 

@@ -15,6 +15,7 @@ from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import as_rotation, exp_so3, log_so3
 
+#: Most iterations: bounds the time where estimates contradict each other.
 _MOST_ITERATIONS = 50
 #: In units of the result's standard deviations.
 _TOLERANCE = 1e-6

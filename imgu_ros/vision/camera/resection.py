@@ -20,9 +20,11 @@ from imgu_ros.vision.projective.dlt import normalisation
 
 #: Points that a camera matrix needs: 11 degrees of freedom, two equations a point.
 FEWEST_POINTS = 6
+#: Singular values below this share of the largest: the points leave the camera matrix undetermined.
 _RANK_TOLERANCE = 1e-9
 #: Smallest extent of the points across their main plane, as a share of the largest (both RMS).
 _THINNEST = 1e-4
+#: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
 
 

@@ -12,6 +12,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3, as_matrix
 from imgu_ros.vision.camera.rotation import from_quaternion, quaternion
 
+#: A quaternion with smaller components was not filled in, and is not one to normalise.
 _SHORTEST_QUATERNION = 1e-6
 
 

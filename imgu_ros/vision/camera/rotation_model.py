@@ -22,6 +22,7 @@ from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.estimation.settling import InlierFit
 
+#: Two directions determine a rotation.
 _FEWEST_POINTS = 2
 #: px, beyond which no picture reaches.
 _LARGEST = 1e9

@@ -15,6 +15,7 @@ from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Matrix3
 
+#: Smallest cosine of the sensor's tilt: below, the sensor is edge on.
 _EDGE_ON = 1e-6
 
 

@@ -19,6 +19,7 @@ _SAME = 0.01
 _COPY, _COPY_PX = 0.001, 1.0
 #: Of the distance to the next point, by how much a turned board's points may miss those of the board.
 _TURN_TOLERANCE = 0.01
+#: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
 
 

@@ -24,18 +24,23 @@ from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, as_floats, require_finite
 
-#: A fit to what agrees explores hypotheses near the one it starts from: as if each were this many, and the threshold
-#: this much wider. Found on random pairs (benchmarks/robust_homography.py), for which no more than the wanted share
-#: of false alarms come out.
+#: A fit to the agreeing data explores hypotheses near the one it starts from: each counts as this many. With `_WIDER`,
+#: random pairs are accepted no more often than asked for, also in `benchmarks/robust_homography.py`. Measured:
+#: benchmarks/thresholds.py, study chance.
 _NEARBY = 3.0
+#: And the threshold counts as this many times as wide. Measured: benchmarks/thresholds.py, study chance.
 _WIDER = 2.0
-#: Times that the threshold is halved.
+#: Number of halvings of the threshold that are tried: down to 1e-7 of it.
 _HALVINGS = 24
-#: Wrong pairs within a radius that tell their density; mapped points that are compared with all others; doublings.
+#: Number of wrong pairs within a radius from which their density is estimated, to 20 %.
 _ENOUGH_PAIRS = 30
+#: Number of mapped points that are compared with all others: bounds time and memory.
 _MOST_MAPPED = 256
+#: Number of doublings of the radius: up to 1e19 thresholds.
 _DOUBLINGS = 64
+#: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
+#: More data than this are no matches of two pictures.
 _MOST_TRIALS = 1_000_000
 
 

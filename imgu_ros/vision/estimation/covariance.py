@@ -14,8 +14,10 @@ from imgu_ros.vision.estimation.nonlinear import Minimum
 
 #: Correlations are -1 to 1, save for rounding.
 _LARGEST = 1.001
-#: Squared thresholds, in units of 2 sigma^2, between which an efficiency is sought; the least that is told.
+#: Range of squared thresholds, in units of 2 sigma^2, in which an efficiency is searched: 99 % and none of the data
+#: beyond.
 _FULLEST_U, _EMPTIEST_U = 0.01, 100.0
+#: Smallest efficiency returned: of a threshold far below the noise, residuals say little.
 _LEAST_EFFICIENCY = 0.3
 #: Squares of such numbers are finite.
 _PLAIN = 1e150

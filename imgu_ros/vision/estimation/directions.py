@@ -10,6 +10,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Matrix3, as_matrix, as_rows
 from imgu_ros.vision.estimation.chance import pair_probability, shares_of_places
 
+#: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
 #: Least second singular value of the correlation, as a share of the first: below, all directions are parallel.
 _PARALLEL = 1e-9

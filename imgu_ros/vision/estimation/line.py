@@ -12,6 +12,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Indices, Mask, Points, as_matrix, as_points
 from imgu_ros.vision.estimation.chance import shares_of_places
 
+#: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
 #: Difference of the variances along and across the line, as a share of their sum, below which there is no line.
 _ROUND = 1e-12

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, as_matrix
 
+#: Singular values below this share of the largest are rounding.
 _RANK_TOLERANCE = 1e-12
 #: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100

@@ -18,6 +18,7 @@ from imgu_ros.types import Floats
 #: A robust loss: weight (N,) and cost (N,) of the measurements' squared lengths (N,).
 Loss = Callable[[Floats], tuple[Floats, Floats]]
 
+#: Squares of larger numbers overflow.
 _LARGEST = 1e150
 
 

@@ -12,12 +12,15 @@ import numpy as np
 from imgu_ros.errors import EstimationError
 from imgu_ros.types import Choice, Floats, Indices, Mask
 
+#: Most refits of a new best hypothesis to its own inliers. Measured: benchmarks/thresholds.py, study consensus.
 _LOCAL_STEPS = 4
-#: The biweight reaches this many thresholds far: a threshold that is a little wrong then does little harm.
+#: Width of the biweight, in thresholds: a threshold that is a little wrong then does little harm. Measured:
+#: benchmarks/thresholds.py, study consensus.
 _REACH = 8 / 3
-#: Reaches of the successive weighted fits, in those of the score: a sample's errors magnify away from it.
+#: Widths of the successive weighted fits, in that of the score: the errors of a minimal sample grow away from it.
+#: Measured: benchmarks/thresholds.py, study consensus.
 _ANNEALING = (2.0, 1.4, 1.0, 1.0, 1.0, 1.0)
-#: Hypotheses of each batch that are fitted by weight.
+#: Number of hypotheses of each batch that are refitted by weights. Measured: benchmarks/thresholds.py, study consensus.
 _PROMISING = 2
 
 

@@ -27,12 +27,14 @@ from imgu_ros.vision.projective.increments import PlaneMotion
 
 #: Grey levels (standard deviation) below which a patch has no contrast.
 FLAT = 0.5
-#: Interpolation mixes pixels of the picture: two patches share noise a little beyond the samples that they share.
+#: Interpolation mixes neighbouring pixels: two patches share noise a little beyond the samples that they share.
+#: Measured: benchmarks/thresholds.py, study covariance.
 _SAMPLED_BEYOND_PX = 1
 #: Of a patch's contrast, in grey levels times pixels, what must be seen again.
 _LEAST_EXPLAINED = 1e-3
 #: Coordinates beyond this are no places in a picture; `remap` takes 16-bit ones, and pictures of no more pixels.
 _FARTHEST = 30000.0
+#: Longest side of an image: `remap` takes 16-bit coordinates.
 LONGEST_PX = 32000
 #: The third coordinate of a patch's centre, H scaled so that its largest number is 1: below, it lies at infinity.
 _NEAREST = 1e-12

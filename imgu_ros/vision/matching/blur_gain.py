@@ -15,13 +15,15 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Points, as_points
 
-#: Motions, px root mean square, that tell as much as the assumption that nothing is blurred.
+#: RMS motion, px, that weighs as much as the prior assumption that nothing is blurred. Measured:
+#: benchmarks/thresholds.py, study blur.
 _ASSUMED_PX = 0.1
-#: Longer motions than this, root mean square, tell little: Lucas-Kanade is not linear so far away. Shorter ones cannot
-#: be told from noise.
+#: RMS motions, px, from which a gain is learned: Lucas-Kanade is not linear for longer ones, and shorter ones are
+#: noise. Measured: benchmarks/thresholds.py, study blur.
 _LONGEST_PX, _SHORTEST_PX = 1.5, 0.03
-#: Singular values of a response.
+#: Limits of the singular values of a gain. Measured: benchmarks/thresholds.py, study blur.
 _WEAKEST, _STRONGEST = 0.2, 1.5
+#: Larger numbers are no displacements in a picture.
 _LARGEST_PX = 1e6
 
 

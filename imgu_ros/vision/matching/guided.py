@@ -21,6 +21,7 @@ from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.projective.refine import HomographyError
 from imgu_ros.vision.projective.transform import normalised_homography
 
+#: Larger numbers are no coordinates in a picture.
 _LARGEST_PX = 1e9
 #: Pairs of neighbours weighed at once: bounds the memory.
 _CHUNK = 2**16

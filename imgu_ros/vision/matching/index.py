@@ -21,18 +21,26 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices
 from imgu_ros.vision.matching.metrics import checked_rows, comparable_rows
 
-#: With more bits in a number fewer rows share it by chance, and more tables make good what that misses.
+#: Number of tables: each misses some true matches, and another finds them. Measured: benchmarks/thresholds.py, study
+#: many.
 _TABLES = 16
+#: Bits of a key beyond the logarithm of the number of rows: more bits, fewer rows that share a key by chance. Measured:
+#: benchmarks/thresholds.py, study many.
 _SPARE_BITS = 2
+#: A key is held in 32 bits.
 _MOST_KEY_BITS = 30
-#: Rows under one number beyond which it says nothing: they cost time in proportion.
+#: Rows under one key beyond which it is skipped: they cost time in proportion and say little. Measured:
+#: benchmarks/thresholds.py, study many.
 _LARGEST_BUCKET = 24
-#: Share of the bits that two descriptors of one place may differ in: half of what those of different places do.
+#: Share of the bits in which two descriptors of one place may differ: half of that of different places. Measured:
+#: benchmarks/thresholds.py, study many.
 _ALIKE = 0.25
-#: Nor do they count when the nearest row of another picture differs in little more.
+#: A row does not vote when the nearest row of another picture is nearly as near. Measured: benchmarks/thresholds.py,
+#: study many.
 _RATIO = 0.8
 #: Numbers become as many signs of random projections (Charikar 2002).
 _SIGNS = 256
+#: Seed of the chosen bits: the same pictures give the same index.
 _SEED = 0
 
 
@@ -164,6 +172,7 @@ def _numbers(bits: Image, chosen: Indices) -> NDArray[np.uint32]:
     return numbers
 
 
+#: Number of bits set in each 16-bit number; np.bitwise_count is in NumPy 2 alone.
 _POPULATION = np.unpackbits(np.arange(2**16, dtype=np.uint16).view(np.uint8).reshape(-1, 2), axis=1).sum(
     axis=1, dtype=np.uint8
 )

@@ -13,6 +13,7 @@ from imgu_ros.arguments import as_integer, as_number
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Indices, Points, as_points
 
+#: Differences of larger numbers overflow.
 _LARGEST = 1e300
 #: Of pairs that are compared at once.
 _AT_ONCE = 2**20

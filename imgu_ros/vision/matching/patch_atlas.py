@@ -12,6 +12,7 @@ from imgu_ros.types import IMAGE_DTYPES, Image, as_image, as_points
 
 #: OpenCV's maps hold 16-bit places.
 TALLEST_PX = 32000
+#: Larger numbers are no coordinates in a picture.
 _FARTHEST = 1e6
 
 

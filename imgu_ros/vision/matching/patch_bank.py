@@ -13,6 +13,7 @@ from imgu_ros.vision.matching.alignment import FLAT, LONGEST_PX, Patches, Prepar
 
 #: Smallest eigenvalue of a patch's normal matrix, scaled to a unit diagonal: below, it is flat or one straight edge.
 _WEAKEST = 1e-3
+#: The samples of a wider patch, 171^2, would not fit one row of `cv2.remap`, which has at most 32767.
 _WIDEST_WINDOW_PX = 171
 
 

@@ -72,6 +72,7 @@ def ncc(a: ArrayLike, b: ArrayLike) -> float:
     return float(np.clip((units[0] * units[1]).sum(), -1.0, 1.0))
 
 
+#: Squares of larger numbers overflow.
 _LARGEST = 1e150
 
 

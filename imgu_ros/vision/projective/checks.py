@@ -14,6 +14,7 @@ from imgu_ros.vision.projective.transform import normalised_homography
 
 #: Larger numbers are no places in a picture, and their squares overflow.
 LARGEST = 1e100
+#: Determinant of a matrix with rows of unit length below whose square it counts as singular: rounding.
 _SINGULAR = 1e-12
 
 

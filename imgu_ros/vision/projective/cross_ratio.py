@@ -11,6 +11,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, as_floats, as_matrix, as_rows
 from imgu_ros.vision.projective.points_and_lines import homogeneous, normalised_lines, normalised_points
 
+#: Determinants of unit vectors below this are rounding.
 _ROUNDING = 1e-12
 
 

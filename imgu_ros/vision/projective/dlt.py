@@ -10,6 +10,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Matrix3, as_floats, as_matrix, as_points
 from imgu_ros.vision.projective.transform import normalised_homography
 
+#: Singular values below this share of the largest: the points leave the homography undetermined.
 _RANK_TOLERANCE = 1e-9
 #: Mean distance from the centroid, as a share of its coordinates, up to which points coincide: that of rounding.
 _COINCIDING = 1e-14

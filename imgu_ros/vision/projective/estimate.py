@@ -24,9 +24,11 @@ from imgu_ros.vision.projective.refine import HomographyError, TransferProblem
 
 #: Correspondences of which one can contradict the others.
 _FEWEST = 5
-#: Inliers on a line that are many, those beside it that are not chance, and rounds in which the line is found.
+#: Number of inliers on a line from which it is suspected. Measured: benchmarks/thresholds.py, study consensus.
 _MANY_ON_LINE = 8
+#: Number of inliers beside that line that are not chance. Measured: benchmarks/thresholds.py, study consensus.
 _FEWEST_OFF_LINE = 5
+#: Iterations in which the line is found by reweighted least squares: bounds the time.
 _LINE_ROUNDS = 10
 #: Samples that are drawn to tell whether the plane is seen from the side that is not allowed.
 _OTHER_SIDE_SAMPLES = 500

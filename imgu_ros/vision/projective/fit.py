@@ -27,8 +27,8 @@ from imgu_ros.vision.projective.refine import (
 from imgu_ros.vision.projective.reprojection import ReprojectionProblem
 from imgu_ros.vision.projective.transform import faces_camera, inverse3, normalised_homography
 
-#: Inliers must reach this far across their main direction, as a share of their extent along it (both RMS):
-#: nearer to a line, the homography is not determined across it.
+#: Smallest extent of the inliers across their main direction, as a share of that along it (both RMS): nearer to a line,
+#: the homography is not determined across it. Measured: benchmarks/thresholds.py, study consensus.
 _MIN_ASPECT = 0.02
 #: px, of the errors where four correspondences leave no residual that could tell them.
 _UNTOLD_NOISE_PX = 1.0
@@ -220,6 +220,7 @@ def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, 
     return H, by_scaled
 
 
+#: Most iterations: steepest descent converges linearly, the others nearly quadratically.
 _MOST_STEPS = {
     Minimiser.STEEPEST_DESCENT: 300,
     Minimiser.GAUSS_NEWTON: 30,

@@ -14,15 +14,19 @@ from imgu_ros.arguments import as_flag, shown_value
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
 
-#: Rounds of reweighting: the first ones with Cauchy's weights, which find the majority from anywhere, the others with
-#: Tukey's, which leave out what is far off.
+#: Iterations with Cauchy's weights, which find the majority from anywhere. Measured: benchmarks/thresholds.py, study
+#: tracking.
 _CAUCHY_ROUNDS = 2
+#: Iterations with Tukey's weights, which leave out what is far off. Measured: benchmarks/thresholds.py, study tracking.
 _TUKEY_ROUNDS = 2
 _TUKEY = 4.685  # 95 % efficient for normal errors
+#: Points have unit size: a larger parameter is the noise of an undetermined one.
 _LARGEST_MOTION = 1e3
+#: Determinant of a motion below which it squeezes the plane to a line.
 _LEAST_DETERMINANT = 1e-9
 #: Displacements and deviations beyond these are none of a picture's; their squares are plain floats.
 _LARGEST_PX = 1e12
+#: Smaller extents and deviations are rounding, px.
 _SMALLEST_PX = 1e-9
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 

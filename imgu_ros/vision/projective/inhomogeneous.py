@@ -12,7 +12,9 @@ from imgu_ros.vision.estimation.linear import least_squares, shape_of
 from imgu_ros.vision.projective.dlt import design_matrix, normalisation
 from imgu_ros.vision.projective.transform import normalised_homography
 
+#: Most iterations of reweighting: bounds the time.
 _ROUNDS = 10
+#: Relative change below which iterations stop: that of rounding.
 _SETTLED = 1e-12
 
 

@@ -17,15 +17,23 @@ from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Matrix3, as_matrix
 from imgu_ros.vision.projective.transform import inverse3
 
+#: Largest deviation from the identity at which the series is used.
 _NEAR = 0.25
+#: Most square roots on the way there: each halves the logarithm.
 _MOST_ROOTS = 12
+#: Most iterations of a square root, which converge quadratically.
 _MOST_STEPS = 30
+#: Relative change below which that iteration stops: that of rounding.
 _EXACT = 1e-12
 #: Terms of the series: at `_NEAR` what is left out is some 1e-12.
 _TERMS = 6
+#: Terms of the exponential: at `_NEAR` the next is below 1e-12.
 _FACTORIALS = 14
+#: Larger velocities are no motion from one frame to the next.
 _LARGEST = 100.0
+#: Determinants and products of three of such numbers are finite and regular.
 _PLAIN = (1e-30, 1e30)
+#: (3, 3).
 _IDENTITY = np.eye(3)
 _NO_LOGARITHM = "H: no real logarithm; need a motion of less than half a turn, in coordinates of moderate size"
 

@@ -22,16 +22,23 @@ from imgu_ros.vision.projective.misfit import smooth_misfit
 from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.transform import local_jacobian, normalised_homography
 
+#: Displacements within this many robust standard deviations are used. Measured: benchmarks/thresholds.py, study
+#: covariance.
 _OUTLIER_SIGMAS = 3.6
+#: Displacements within this are used however small the standard deviation, px. Measured: benchmarks/thresholds.py,
+#: study covariance.
 _FLOOR_PX = 0.02
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
 #: By chance, one frame in a thousand shows more of a misfit (chi-squared of 10 degrees of freedom).
 _BY_CHANCE = 2.96
-#: Of what the residuals show beyond that, so many times as much has gone into the estimate unseen: measured with a
-#: rolling shutter.
+#: Squared errors of the estimate for each unit of misfit beyond that: errors of a rolling shutter that the homography
+#: absorbs leave no residual. Measured: benchmarks/thresholds.py, study covariance.
 _UNSEEN = 9.0
+#: Condition of the normal equations beyond which the points do not determine a homography.
 _WORST_CONDITION = 1e12
+#: Limits the local scale of a homography, whose reciprocal must be finite.
 _SMALLEST_AREA = 1e-12
+#: Squares and products of three of such numbers are finite.
 _LARGEST = 1e30
 #: The derivatives of I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]] by its parameters.
 _BY_PARAMETER = np.eye(9)[:8].reshape(8, 3, 3)

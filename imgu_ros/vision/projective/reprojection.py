@@ -20,7 +20,9 @@ from imgu_ros.vision.estimation.nonlinear import Linearisation
 from imgu_ros.vision.projective.checks import checked_pairs, finite
 from imgu_ros.vision.projective.refine import TransferProblem, derivative_by_h, tangent_basis
 
+#: Most iterations of Newton's method, which converges quadratically.
 _ROUNDS = 20
+#: Relative step below which iterations stop: that of rounding.
 _SETTLED = 1e-12
 
 
