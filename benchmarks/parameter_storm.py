@@ -79,8 +79,8 @@ def _scalar(known: Declaration, element: str, rng: random.Random) -> Any:
         return rng.random() < 0.5
     if element == "string":
         return rng.choice(("map", "odom", "", "a_frame"))
-    low = -_LARGEST if known.minimum is None else known.minimum
-    high = min(_LARGEST if known.maximum is None else known.maximum, max(_LARGEST, low + 1))
+    low, high = known.bounds or (-_LARGEST, _LARGEST)
+    high = min(high, max(_LARGEST, low + 1))
     return rng.randint(math.ceil(low), math.floor(high)) if element == "integer" else rng.uniform(low, high)
 
 

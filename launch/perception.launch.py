@@ -2,8 +2,10 @@
 """Start the perception node beside a camera.
 
     ros2 launch imgu_ros perception.launch.py image:=/camera/image_raw target:=/path/to/poster.png width_m:=0.42
-    ros2 launch imgu_ros perception.launch.py namespace:=camera params_file:=perception.yaml rviz:=true
+    ros2 launch imgu_ros perception.launch.py namespace:=camera params_file:=basic.yaml rviz:=true
 
+A parameter file begins as a copy of `share/imgu_ros/config/basic.yaml`, the parameters to start with
+(`imgu params --basic --yaml` prints it); `perception.yaml` beside it holds all.
 `ros2 launch imgu_ros perception.launch.py --show-args` lists the arguments. The node sets the DDS profile for large
 images for itself; the camera's driver needs it too: `imgu node --print-dds-profile` prints the file that its
 FASTRTPS_DEFAULT_PROFILES_FILE must name.

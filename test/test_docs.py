@@ -31,6 +31,25 @@ def test_parameter_file_is_current(repository: Path, capsys: pytest.CaptureFixtu
     )
 
 
+def test_the_file_to_start_with_is_current_and_a_part_of_the_whole_one(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (repository / "config" / "basic.yaml").read_text()
+    assert main(["params", "--basic", "--yaml"]) == 0
+    assert text == capsys.readouterr().out, "run: imgu params --basic --yaml > config/basic.yaml"
+    everything = (repository / "config" / "perception.yaml").read_text()
+    # Lists without values are comments in it.
+    whole = {line.strip().removeprefix("# ") for line in everything.splitlines()}
+    lines = [line.strip().removeprefix("# ") for line in text.partition("/**:")[2].splitlines()]
+    assert len(lines) > 16
+    assert set(lines) - {""} <= whole
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/ros.md", "docs/parameters.md", "docs/interfaces.md"])
+def test_the_file_to_start_with_is_found(repository: Path, page: str) -> None:
+    assert "config/basic.yaml" in (repository / page).read_text()
+
+
 def test_pages_are_found() -> None:
     assert {"README.md", "docs/interfaces.md", "docs/calibrate.md", "docs/reference/estimation.md"} <= set(PAGES)
 

@@ -40,6 +40,6 @@ def test_errors_are_silent_when_nothing_is_near():
     assert "nearest" not in str(caught.value)
     with pytest.raises(ParameterError) as caught:
         declaration("xyzzy")
-    assert str(caught.value) == "xyzzy: unknown parameter; `imgu params` lists those that there are"
+    assert str(caught.value) == "xyzzy: unknown parameter; `imgu params --all` lists the parameters"
     with pytest.raises(ParameterError, match=r"Homography.Treshold_px: .*nearest known: homography.threshold_px"):
         declaration("Homography.Treshold_px")

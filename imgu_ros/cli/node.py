@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(
             f"usage: imgu node {arguments.name} [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] [--ros-args ...]",
             "",
-            "`imgu params` lists the parameters.",
+            "`imgu params` lists the parameters to start with, `imgu params --all` all.",
         )
         return 0
     try:

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from imgu_ros.config.parameters import Declaration, LimitsParameters, declarations
+from imgu_ros.config.parameters import Declaration, LimitsParameters, declaration, declarations
 from imgu_ros.config.rcl_parameters import SECTION, RclParameters, section_applies, with_slash
 from imgu_ros.config.values import checked_value, is_empty_group, value_or_empty
 from imgu_ros.errors import ParameterError
@@ -118,21 +118,21 @@ def parameter_file_bytes(path: Path | str) -> bytes:
     return file_bytes(Path(path), f"a parameter file of at most {most} MB", 1_000_000 * most)
 
 
-def parameter_file_text(values: Mapping[str, object] | None = None, names: Collection[str] | None = None) -> str:
+def parameter_file_text(
+    values: Mapping[str, object] | None = None, names: Iterable[str] | None = None, *, empty_lists: bool = False
+) -> str:
     """Return a parameter file with every parameter and its description.
 
     Parameters
     ----------
     values : instead of the defaults, by full name
-    names : only these parameters, by full name; None: all
-
-    ROS 2 cannot tell the type of an empty list: such parameters are commented out.
+    names : only these parameters, by full name and in this order, those of a group together; None: all
+    empty_lists : write `[]`; else such parameters are commented out: ROS 2 cannot tell the type of an empty list, and
+        nodes of others may refuse it
     """
     lines = ["# Parameters of imgu_ros. A line left out keeps its default.", "/**:", f"  {SECTION}:"]
     groups: tuple[str, ...] = ()
-    for known in declarations():
-        if names is not None and known.name not in names:
-            continue
+    for known in declarations() if names is None else map(declaration, names):
         *parents, leaf = known.name.split(".")
         for depth, group in enumerate(parents):
             if groups[: depth + 1] != tuple(parents[: depth + 1]):
@@ -141,7 +141,9 @@ def parameter_file_text(values: Mapping[str, object] | None = None, names: Colle
         value = (values or {}).get(known.name, known.default)
         lines.append(f"{_indent(len(parents))}# {_comment(known)}")
         is_empty_list = isinstance(value, list | tuple) and not value
-        lines.append(f"{_indent(len(parents))}{'# ' if is_empty_list else ''}{leaf}: {_yaml(value)}")
+        lines.append(
+            f"{_indent(len(parents))}{'# ' if is_empty_list and not empty_lists else ''}{leaf}: {_yaml(value)}"
+        )
     return _without_empty_groups(lines)
 
 
@@ -155,15 +157,11 @@ def _comment(known: Declaration) -> str:
         facts.append(known.unit)
     if known.choices:
         facts.append(" | ".join(known.choices))
-    if known.minimum is not None or known.maximum is not None:
-        facts.append(f"{_bound(known.minimum)} to {_bound(known.maximum)}".strip())
+    if known.bounds:
+        facts.append(known.range_text)
     if known.read_only:
         facts.append("read-only")
     return f"{known.description} [{', '.join(facts)}]"
-
-
-def _bound(value: float | None) -> str:
-    return "" if value is None else str(int(value)) if float(value).is_integer() else repr(value)
 
 
 def _yaml(value: object) -> str:

@@ -2,9 +2,9 @@
 """Every parameter of the package, declared once.
 
 ROS descriptors, parameter files, `imgu params`, `--help` and the reference page are derived from these dataclasses.
-A group of parameters is a frozen dataclass; a parameter is a field made by `parameter`. Its full name joins the
-groups' names by dots (`homography.threshold_px`). `parameter_values` makes them of values that people give, and
-`parameter_checks` says which go together.
+A group of parameters is a frozen dataclass, and the first line of its docstring is its heading; a parameter is a field
+made by `parameter`. Its full name joins the names of group and field by a dot (`homography.threshold_px`). `values`
+converts what users give, `checks` says which values go together, `components` which component takes which.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
+from inspect import getdoc
 from typing import Any, cast, get_args, get_type_hints
 
 from imgu_ros.errors import ParameterError
@@ -23,11 +24,18 @@ ParameterValue = bool | int | float | str | tuple[str, ...] | tuple[float, ...] 
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """One parameter, as the rest of the world needs to know it.
+    """The declaration of one parameter.
 
-    `minimum` and `maximum` are inclusive and hold for every element of a list. `type_name` is ROS's
-    (`bool`, `integer`, `double`, `string`, `string_array`, `double_array`, `integer_array`). The value of one that
-    `is_frame` names a frame, or begins its name, and loses leading slashes, which tf2 refuses.
+    Attributes
+    ----------
+    name : full name
+    type_name : of ROS: `bool`, `integer`, `double`, `string`, `string_array`, `double_array`, `integer_array`
+    default, description, unit : as declared
+    bounds : smallest and largest value, of every element of a list; None: any finite number
+    choices : the accepted values; empty: any
+    read_only : fixed while the node runs
+    is_frame : the value is a frame's name or its prefix, and loses leading slashes, which tf2 refuses
+    basic : rank among the few to start with, from 1; 0: not one of them
     """
 
     name: str
@@ -35,11 +43,21 @@ class Declaration:
     default: ParameterValue
     description: str
     unit: str
-    minimum: float | None
-    maximum: float | None
+    bounds: tuple[float, float] | None
     choices: tuple[str, ...]
     read_only: bool
     is_frame: bool
+    basic: int
+
+    @property
+    def group(self) -> str:
+        """The name of its group; empty: it is in none."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def range_text(self) -> str:
+        """The bounds in words, "0.1 to 100"; empty: there are none."""
+        return "" if self.bounds is None else " to ".join(f"{bound:.16g}" for bound in self.bounds)
 
 
 def parameter(
@@ -47,78 +65,96 @@ def parameter(
     description: str,
     *,
     unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
+    bounds: tuple[float, float] | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
     is_frame: bool = False,
+    basic: int = 0,
 ) -> Any:
     """Declare one parameter as a dataclass field; see `Declaration` for the meanings."""
     metadata = {
         "description": description,
         "unit": unit,
-        "minimum": minimum,
-        "maximum": maximum,
+        "bounds": bounds,
         "choices": choices,
         "read_only": read_only,
         "is_frame": is_frame,
+        "basic": basic,
     }
     return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, slots=True)
 class TargetsParameters:
-    images: tuple[str, ...] = parameter((), "Image files of the known flat targets; `~` and `$VARIABLES` are expanded.")
+    """Planar targets, their sizes and places."""
+
+    images: tuple[str, ...] = parameter(
+        (), "Image files of the planar targets, such as `[poster.png]`; `~` and `$VARIABLES` are expanded.", basic=1
+    )
     widths_m: tuple[float, ...] = parameter(
         (),
-        "Printed width of each target, outer edge to outer edge; 0 or missing: unknown, no metric pose.",
+        "Printed width of each target between its outer edges, such as `[0.594]`; 0 or missing: unknown, and no metric "
+        "pose.",
         unit="m",
-        minimum=0.0,
-        maximum=1e4,
+        bounds=(0.0, 1e4),
+        basic=2,
     )
-    names: tuple[str, ...] = parameter((), "Name of each target in topics and files; default: the file's stem.")
+    names: tuple[str, ...] = parameter(
+        (), "Name of each target in topics and files; default: the file name without its extension."
+    )
     poses: tuple[float, ...] = parameter(
-        (), "Pose of each target in the map, seven numbers a target: x y z (m) qx qy qz qw; for `map/odom` and /tf."
+        (), "Pose of each target in the map, seven numbers per target: x y z (m) qx qy qz qw; for `map/odom` and /tf."
     )
 
 
 @dataclass(frozen=True, slots=True)
 class CompressedParameters:
+    """Compressed image topics."""
+
     format: str = parameter(
-        "jpeg", "Format of `<picture>/compressed`; pictures of 16 bits are always `png`.", choices=("jpeg", "png")
+        "jpeg", "Format of `<image topic>/compressed`; 16-bit images are always `png`.", choices=("jpeg", "png")
     )
-    jpeg_quality: int = parameter(95, "Quality of JPEG, from small to good.", minimum=1, maximum=100)
-    png_level: int = parameter(3, "Effort of PNG, from fast to small.", minimum=0, maximum=9)
+    jpeg_quality: int = parameter(95, "JPEG quality; higher is better and larger.", bounds=(1, 100))
+    png_level: int = parameter(3, "PNG compression level; higher is smaller and slower.", bounds=(0, 9))
 
 
 @dataclass(frozen=True, slots=True)
 class CameraParameters:
+    """Camera calibration."""
+
     info_file: str = parameter(
         "",
-        "Calibration file of the camera (of `imgu calibrate`, ROS, OpenCV or Kalibr), used instead of camera_info or "
-        "for want of it; `~` and `$VARIABLES` are expanded.",
+        "Calibration file (of `imgu calibrate`, ROS, OpenCV or Kalibr), used instead of camera_info, also when there "
+        "is none; `~` and `$VARIABLES` are expanded.",
+        basic=3,
     )
-    rectified: bool = parameter(False, "The image is rectified: use P[:3, :3] of camera_info and no distortion.")
+    rectified: bool = parameter(
+        False, "The input is rectified: use P[:3, :3] of camera_info and no distortion.", basic=4
+    )
     covariance: tuple[float, ...] = parameter(
         (),
-        "Covariance of camera_info's fx, fy, cx, cy and distortion coefficients, row by row; it enters every pose's; "
-        "empty: that of a calibration file, else they are exact.",
+        "Covariance matrix of fx, fy, cx, cy and the distortion coefficients, row by row, propagated into every pose; "
+        "empty: that of the calibration file, else the calibration counts as exact.",
     )
 
 
 @dataclass(frozen=True, slots=True)
 class FramesParameters:
+    """Coordinate frames of the outputs."""
+
     camera: str = parameter(
-        "", "Name of the camera's optical frame in all outputs; empty: the images' own frame_id.", is_frame=True
+        "", "Optical frame of the camera in all outputs; empty: the frame_id of the images.", is_frame=True
     )
     map: str = parameter("map", "Frame in which `targets.poses` are given.", is_frame=True)
     target_prefix: str = parameter(
-        "", "Put before a target's name to make its frame in /tf and in odometry.", is_frame=True
+        "", "Prefix of a target's name that makes its frame in /tf and in odometry.", is_frame=True
     )
 
 
 @dataclass(frozen=True, slots=True)
 class TfParameters:
+    """Connection to the robot's tree of frames."""
+
     root_frame: str = parameter(
         "",
         "Root of the robot's tree, child of the map when `targets.poses` are given; empty: the camera's frame.",
@@ -128,282 +164,297 @@ class TfParameters:
 
 @dataclass(frozen=True, slots=True)
 class PathParameters:
-    max_length: int = parameter(1000, "Most poses kept in a path; the oldest go first.", minimum=1, maximum=100_000)
+    """Path topics."""
+
+    max_length: int = parameter(1000, "Maximum number of poses in a path; the oldest are dropped.", bounds=(1, 100_000))
 
 
 @dataclass(frozen=True, slots=True)
 class DemosaicParameters:
+    """Demosaicking of Bayer images."""
+
     method: str = parameter(
         "bilinear",
-        "Demosaicking method, from fast to good.",
+        "Demosaicking method, from fastest to most accurate.",
         choices=("bilinear", "edge_aware", "malvar", "hamilton_adams", "menon", "residual"),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class RawParameters:
+    """Input pixels: encoding, levels, colours and bands."""
+
     encoding: str = parameter(
         "",
-        "What the pixels are (`bayer_rggb8`, ...) when messages claim a wrong encoding, such as `mono8` for a mosaic; "
-        "empty: what messages say.",
+        "Encoding of the pixels (`bayer_rggb8`, ...) when messages declare a wrong one, such as `mono8` for a mosaic; "
+        "empty: as messages declare.",
+        basic=5,
     )
-    black_level: float = parameter(0.0, "Raw value of no light.", minimum=0.0, maximum=65535.0)
+    black_level: float = parameter(0.0, "Black level, a raw value.", bounds=(0.0, 65535.0))
     white_level: float = parameter(
-        0.0, "Raw value of full scale; 0: from `raw.significant_bits`.", minimum=0.0, maximum=65535.0
+        0.0, "White level (full scale), a raw value; 0: from `raw.significant_bits`.", bounds=(0.0, 65535.0)
     )
     significant_bits: int = parameter(
         0,
-        "Bits that carry the signal in 16-bit data (10, 12, ...), right-aligned; 0: from the data, by percentiles in "
-        "every frame.",
-        minimum=0,
-        maximum=16,
+        "Significant bits of 16-bit data (10, 12, ...), right-aligned; 0: estimated from percentiles of every frame.",
+        bounds=(0, 16),
     )
     gains: tuple[float, ...] = parameter(
-        (1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", minimum=0.01, maximum=100.0
+        (1.0, 1.0, 1.0), "White-balance gains of red, green and blue.", bounds=(0.01, 100.0)
     )
     grey_weights: tuple[float, ...] = parameter(
         (0.299, 0.587, 0.114),
-        "Weights of red, green and blue in the grey picture of colour images and colour targets; their sum does not "
-        "matter.",
-        minimum=0.0,
-        maximum=1e6,
+        "Weights of red, green and blue in the grey image of colour frames and colour targets; only their ratio "
+        "matters.",
+        bounds=(0.0, 1e6),
     )
     transfer: str = parameter(
         "auto",
-        "How grey values go with the light: `linear`, as raw ones do; `srgb`, as those of pictures to be looked at. "
-        "`auto`: sRGB for colour images, linear for all others. Targets are compared accordingly.",
+        "Transfer function of the input: `linear` (sensor data), `srgb` (images for display), `auto`: sRGB for colour "
+        "images, linear for all others. Targets are converted to match.",
         choices=("auto", "linear", "srgb"),
     )
     bands: tuple[int, ...] = parameter(
-        (), "Bands of an N-band image that make the grey image; empty: all.", minimum=0, maximum=9998
+        (), "Bands of an N-band image that form the grey image; empty: all.", bounds=(0, 9998)
     )
     band_mode: str = parameter(
         "mean",
-        "How the bands of a pixel become one grey value: their `mean`; `weighted` mean; first `principal_component` of "
-        "the frame; `spectral_angle`: bright where the spectrum is like `raw.reference_spectrum`.",
+        "Combination of the bands to grey: `mean`; `weighted` mean; first `principal_component` of the frame; "
+        "`spectral_angle`: similarity to `raw.reference_spectrum`, bright where similar.",
         choices=("mean", "weighted", "principal_component", "spectral_angle"),
     )
     band_weights: tuple[float, ...] = parameter(
-        (), "Weight of each band (each of `raw.bands`, if given), for `weighted`.", minimum=0.0, maximum=1e6
+        (), "Weight of each band (of each of `raw.bands`, if given), for `weighted`.", bounds=(0.0, 1e6)
     )
     reference_spectrum: tuple[float, ...] = parameter(
         (),
-        "Spectrum that is sought, above the black level: a value for each band (each of `raw.bands`, if given), for "
+        "Reference spectrum above the black level, one value for each band (of each of `raw.bands`, if given), for "
         "`spectral_angle`.",
     )
 
 
 @dataclass(frozen=True, slots=True)
 class PreprocessParameters:
+    """Preprocessing of the grey image before detection."""
+
     smoothing_px: float = parameter(
-        0.0, "Sigma of a Gaussian that smooths the grey picture; 0: none.", unit="px", minimum=0.0, maximum=20.0
+        0.0, "Standard deviation of a Gaussian smoothing; 0: no smoothing.", unit="px", bounds=(0.0, 20.0)
     )
-    contrast: float = parameter(1.0, "Factor of the grey values, clamped to 0 ... 255.", minimum=0.01, maximum=100.0)
-    brightness: float = parameter(0.0, "Added to the grey values, clamped to 0 ... 255.", minimum=-255.0, maximum=255.0)
+    contrast: float = parameter(1.0, "Factor applied to the grey values, clamped to 0 ... 255.", bounds=(0.01, 100.0))
+    brightness: float = parameter(0.0, "Offset added to the grey values, clamped to 0 ... 255.", bounds=(-255.0, 255.0))
     gamma: float = parameter(
-        1.0, "Exponent of the grey values; below 1: brighter, above: darker.", minimum=0.1, maximum=10.0
+        1.0, "Exponent of the grey values; below 1 brightens, above 1 darkens.", bounds=(0.1, 10.0)
     )
     equalisation: str = parameter(
         "none",
-        "Spread the grey values evenly: over the whole picture, or tile by tile with limited contrast.",
+        "Histogram equalisation: `global`, or `clahe` (tile by tile with limited contrast).",
         choices=("none", "global", "clahe"),
     )
     edges: str = parameter(
         "none",
-        "Seek keypoints on the gradient's length, on every level of the pyramid, instead of on grey values.",
+        "`strength`: detect keypoints on the gradient magnitude of every pyramid level instead of on grey values.",
         choices=("none", "strength"),
     )
     derivative: str = parameter(
-        "sobel", "Operator of the gradient for `preprocess.edges`.", choices=("sobel", "scharr", "gaussian")
+        "sobel", "Gradient operator of `preprocess.edges`.", choices=("sobel", "scharr", "gaussian")
     )
     threshold: str = parameter(
         "none",
-        "Make the picture black and white: where Otsu's method says, or frames at `preprocess.threshold_value`.",
+        "Binarise the image: `otsu`, or `fixed`: frames at `preprocess.threshold_value`, targets by Otsu's method.",
         choices=("none", "fixed", "otsu"),
     )
     threshold_value: float = parameter(
-        128.0, "Grey value from which on a pixel of a frame is white, for `fixed`.", minimum=0.0, maximum=255.0
+        128.0, "Smallest grey value of a white pixel in frames, for `fixed`.", bounds=(0.0, 255.0)
     )
-    threshold_bins: int = parameter(
-        256, "Bins of the histogram between which `otsu` looks for its threshold.", minimum=2, maximum=256
-    )
+    threshold_bins: int = parameter(256, "Number of histogram bins of Otsu's method.", bounds=(2, 256))
 
 
 @dataclass(frozen=True, slots=True)
 class PyramidParameters:
+    """Image pyramid for detection."""
+
     kind: str = parameter(
         "coarse",
-        "`coarse`: octaves; `fine`: several scales in every octave; `laplacian`: octaves, as bands of detail.",
+        "`coarse`: one level per octave; `fine`: several per octave; `laplacian`: one band-pass level per octave.",
         choices=("coarse", "fine", "laplacian"),
     )
     kernel: str = parameter(
         "sampled",
-        "Gaussian kernel that smooths before subsampling, and for `preprocess.smoothing_px`.",
+        "Gaussian kernel of the pyramid and of `preprocess.smoothing_px`.",
         choices=("sampled", "discrete", "recursive"),
     )
-    levels: int = parameter(8, "Most levels; fewer when the image gets too small.", minimum=1, maximum=32)
-    scales_per_octave: int = parameter(3, "Levels in an octave when `pyramid.kind` is `fine`.", minimum=1, maximum=8)
+    levels: int = parameter(8, "Maximum number of levels; small images have fewer.", bounds=(1, 32))
+    scales_per_octave: int = parameter(3, "Levels per octave when `pyramid.kind` is `fine`.", bounds=(1, 8))
     max_side_px: int = parameter(
         800,
-        "Longest side of level 0: a larger image is reduced, to a half, a third, ..., before features are sought.",
+        "Maximum length of the longer side of level 0; larger images are reduced to 1/2, 1/3, ... before detection.",
         unit="px",
-        minimum=64,
-        maximum=16384,
+        bounds=(64, 16384),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class KeypointsParameters:
+    """Keypoint detection."""
+
     detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "moravec", "dog", "mser", "orb"))
     max_count: int = parameter(
-        600, "Most keypoints in a frame, spread over image and levels.", minimum=8, maximum=100_000
+        600, "Maximum number of keypoints per frame, spread over image and levels.", bounds=(8, 100_000)
     )
     fast_arc: int = parameter(
         9,
-        "Contiguous pixels, of 16 on a ring, that make a corner when `keypoints.detector` is `fast`.",
-        minimum=9,
-        maximum=12,
+        "Minimum number of contiguous pixels, of 16 on the ring, of a corner when `keypoints.detector` is `fast`.",
+        bounds=(9, 12),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class DescriptorParameters:
-    kind: str = parameter("orb", "Descriptor.", choices=("orb", "sift", "rootsift", "brief", "patch"))
+    """Keypoint description."""
+
+    kind: str = parameter("orb", "Keypoint descriptor.", choices=("orb", "sift", "rootsift", "brief", "patch"))
 
 
 @dataclass(frozen=True, slots=True)
 class MatchingParameters:
+    """Descriptor matching."""
+
     metric: str = parameter(
         "auto",
-        "Distance between descriptors; `auto`: `hamming` for `orb` and `brief`, `euclidean` for `sift` and `rootsift`, "
-        "`ncc` for `patch`.",
+        "Descriptor distance; `auto`: `hamming` for `orb` and `brief`, `euclidean` for `sift` and `rootsift`, `ncc` "
+        "for `patch`.",
         choices=("auto", "euclidean", "cosine", "hamming", "ssd", "zmssd", "ncc"),
     )
     ratio: float = parameter(
-        0.85, "Keep a match when best / second-best distance is below this; 1 keeps all.", minimum=0.1, maximum=1.0
+        0.85,
+        "Ratio test: accept a match when best / second-best distance is below this; 1 accepts all.",
+        bounds=(0.1, 1.0),
     )
-    mutual: bool = parameter(True, "Keep a match only when each is the other's nearest.")
+    mutual: bool = parameter(True, "Mutual check: accept a match only when each is the nearest of the other.")
     guided: bool = parameter(
-        False, "After a first homography, seek matches again where it predicts them, until they stay the same."
+        False,
+        "Guided matching: match again near the positions predicted by the first homography, until the matches are "
+        "stable.",
     )
 
 
 @dataclass(frozen=True, slots=True)
 class HomographyParameters:
-    sampler: str = parameter("prosac", "How minimal samples are drawn.", choices=("uniform", "prosac"))
+    """Robust estimation of the homography."""
+
+    sampler: str = parameter("prosac", "Sampling of minimal sets.", choices=("uniform", "prosac"))
     score: str = parameter(
         "truncated",
-        "What the search minimises: squared distances up to the threshold, or a wider loss in both images (slower).",
+        "Score of a hypothesis: `truncated` squared distances, or `biweight`, a wider loss in both images (slower).",
         choices=("truncated", "biweight"),
     )
     threshold_px: float = parameter(
-        3.0,
-        "Largest distance of an inlier, in pixels of level 0 of the pyramid.",
-        unit="px",
-        minimum=0.1,
-        maximum=100.0,
+        3.0, "Maximum distance of an inlier, in pixels of level 0 of the pyramid.", unit="px", bounds=(0.1, 100.0)
     )
     confidence: float = parameter(
-        0.9999, "Wanted probability that one sample was free of outliers.", minimum=0.5, maximum=0.9999999
+        0.9999, "Required probability that at least one sample is free of outliers.", bounds=(0.5, 0.9999999)
     )
-    max_iterations: int = parameter(1000, "Most samples drawn.", minimum=1, maximum=1_000_000)
-    min_inliers: int = parameter(8, "Fewest inliers with which a target counts as found.", minimum=4, maximum=100_000)
+    max_iterations: int = parameter(1000, "Maximum number of samples.", bounds=(1, 1_000_000))
+    min_inliers: int = parameter(8, "Minimum number of inliers to accept a target.", bounds=(4, 100_000))
     error: str = parameter(
         "sampson",
-        "Error that the refinement minimises.",
+        "Error measure minimised over the inliers.",
         choices=("algebraic", "transfer", "symmetric", "sampson", "reprojection"),
     )
     refine: str = parameter(
         "levenberg_marquardt",
-        "How the inliers' error is minimised; with `none`, or the error `algebraic`, the linear fit stays.",
+        "Minimiser of `homography.error`; `none`, and the error `algebraic`, keep the linear estimate.",
         choices=("none", "steepest_descent", "gauss_newton", "levenberg_marquardt"),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class SearchParameters:
+    """Thorough search when no target is found."""
+
     thorough: bool = parameter(
         True,
-        "When no target was found in a frame, look again: for one that is near, then thoroughly, with more pixels, "
-        "scales and keypoints, and for oblique views.",
+        "When no target is found in a frame, search again: for a close target, then with more pixels, scales and "
+        "keypoints, and for oblique views.",
     )
     max_side_px: int = parameter(
-        1920, "Longest side of level 0 in a thorough search.", unit="px", minimum=64, maximum=16384
+        1920, "Maximum length of the longer side of level 0 in a thorough search.", unit="px", bounds=(64, 16384)
     )
-    max_count: int = parameter(2000, "Most keypoints of a frame in a thorough search.", minimum=8, maximum=100_000)
+    max_count: int = parameter(2000, "Maximum number of keypoints per frame in a thorough search.", bounds=(8, 100_000))
 
 
 @dataclass(frozen=True, slots=True)
 class RefinementParameters:
-    enabled: bool = parameter(True, "Align patches of the target with the full-resolution image after detection.")
-    max_points: int = parameter(150, "Most patches aligned for each target.", minimum=16, maximum=5000)
-    window_px: int = parameter(11, "Side of an aligned patch.", unit="px", minimum=7, maximum=63)
+    """Refinement by patch alignment."""
+
+    enabled: bool = parameter(True, "After detection, align patches of the target with the full-resolution image.")
+    max_points: int = parameter(150, "Maximum number of patches aligned per target.", bounds=(16, 5000))
+    window_px: int = parameter(11, "Side length of a patch.", unit="px", bounds=(7, 63))
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingParameters:
+    """Tracking from frame to frame."""
+
     enabled: bool = parameter(
-        True, "Follow a target from frame to frame by alignment, and detect it only when that fails."
+        True, "Track targets from frame to frame by patch alignment; detect those without a track."
     )
     search_every: int = parameter(
-        5, "While one target is tracked, look for the missing ones in every n-th frame.", minimum=1, maximum=1000
+        5, "While a target is tracked, search for missing ones in every n-th frame.", bounds=(1, 1000)
     )
 
 
 @dataclass(frozen=True, slots=True)
 class PoseParameters:
+    """Pose from the homography."""
+
     ambiguity_ratio: float = parameter(
         0.8,
         "The pose is ambiguous when best / second-best reprojection error of the two planar solutions exceeds this.",
-        minimum=0.0,
-        maximum=1.0,
+        bounds=(0.0, 1.0),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class LimitsParameters:
-    """What reading may cost, whatever a file or a message claims; the defaults suit a machine with 8 GB.
+    """Limits of what reading a file or a message may cost.
 
-    Every decoder takes this group. A refusal names the limit: "needs 6144 MB; need at most 1000 (limits.picture_mb)".
+    Every decoder takes this group; the defaults suit a machine with 8 GB. A refusal names the limit: "needs 6144 MB;
+    need at most 1000 (limits.picture_mb)".
     """
 
     picture_mb: int = parameter(
-        1000,
-        "Memory that decoding one picture may take, or preparing one target.",
-        unit="MB",
-        minimum=1,
-        maximum=1_000_000,
+        1000, "Maximum memory for decoding one image or preparing one target.", unit="MB", bounds=(1, 1_000_000)
     )
     picture_megapixels: int = parameter(
         2000,
-        "Pixels that the decoding of one picture may go over, every scan of a progressive JPEG and every part of a "
-        "file counted: they take time.",
+        "Maximum number of pixels processed while one image is decoded, which bounds the time; every scan of a "
+        "progressive JPEG and every part of a file counts.",
         unit="10^6 px",
-        minimum=1,
-        maximum=1_000_000,
+        bounds=(1, 1_000_000),
     )
     message_mb: int = parameter(
-        256, "Size of one message and of one chunk of a bag, decompressed.", unit="MB", minimum=1, maximum=1_000_000
+        256, "Maximum size of one message and of one chunk of a bag, decompressed.", unit="MB", bounds=(1, 1_000_000)
     )
     temporary_mb: int = parameter(
         50_000,
-        "Size of the temporary copies of a bag's compressed files, together; what the disk has free bounds it too.",
+        "Maximum total size of temporary copies of a bag's compressed files; free disk space limits it too.",
         unit="MB",
-        minimum=1,
-        maximum=1_000_000_000,
+        bounds=(1, 1_000_000_000),
     )
     expansion: int = parameter(
         1000,
-        "Bytes that a compressed byte may become, beyond the first 1000 MB of a file (chunks and messages: 2000 MB, "
-        "and 100,000 messages, of which each counts as 2000 bytes).",
-        minimum=1,
-        maximum=1_000_000,
+        "Maximum ratio of decompressed to compressed size, beyond the first 1000 MB of a file (chunks and messages: "
+        "2000 MB, and 100,000 messages, each counted as 2000 bytes).",
+        bounds=(1, 1_000_000),
     )
     schema_fields: int = parameter(
-        10_000, "Fields of a message type that a bag defines, with all that it contains.", minimum=1, maximum=10_000_000
+        10_000,
+        "Maximum number of fields of a message type that a bag defines, with those of its nested types.",
+        bounds=(1, 10_000_000),
     )
     text_mb: int = parameter(
-        4, "Size of a YAML file, its aliases counted as often as they are used.", unit="MB", minimum=1, maximum=10_000
+        4, "Maximum size of a YAML file, with its aliases expanded.", unit="MB", bounds=(1, 10_000)
     )
 
 
@@ -412,27 +463,35 @@ DEFAULT_LIMITS = LimitsParameters()
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """All parameters. The defaults serve most people: set `targets.images` and `targets.widths_m`."""
+    """All parameters; those outside of groups concern input, output and the node as a whole."""
 
     reference: str = parameter(
-        "target", "What poses refer to: known printed images.", choices=("target",), read_only=True
+        "target", "What poses refer to: known planar targets.", choices=("target",), read_only=True
     )
     image_transport: str = parameter(
-        "raw", "Live input: `raw` (sensor_msgs/Image) or `compressed`.", choices=("raw", "compressed"), read_only=True
+        "raw",
+        "Live input: `raw` (sensor_msgs/Image) or `compressed` (sensor_msgs/CompressedImage).",
+        choices=("raw", "compressed"),
+        read_only=True,
+        basic=6,
     )
     image_topic: str = parameter(
-        "", "Replay: the image topic; empty: the first that the chain can read.", read_only=True
+        "",
+        "Replay: the image topic; empty: the first one that can be read. Live: remap `image_raw`.",
+        read_only=True,
+        basic=7,
     )
     camera_info_topic: str = parameter(
-        "", "Replay: the camera_info topic; empty: beside the image topic.", read_only=True
+        "", "Replay: the camera_info topic; empty: the one beside the image topic.", read_only=True
     )
     autostart: bool = parameter(True, "Configure and activate the node at start.", read_only=True)
     publish_tf: bool = parameter(
         False,
         "Publish camera -> target on /tf, and map -> `tf.root_frame` with `targets.poses`; needs tf2_msgs.",
         read_only=True,
+        basic=8,
     )
-    seed: int = parameter(0, "Seed of every random draw.", minimum=0, maximum=2**53)
+    seed: int = parameter(0, "Seed of the random number generators.", bounds=(0, 2**53))
     targets: TargetsParameters = field(default_factory=TargetsParameters)
     camera: CameraParameters = field(default_factory=CameraParameters)
     compressed: CompressedParameters = field(default_factory=CompressedParameters)
@@ -471,6 +530,21 @@ def declarations() -> tuple[Declaration, ...]:
     return tuple(_declarations(Parameters, ""))
 
 
+def basic_declarations() -> tuple[Declaration, ...]:
+    """Return the few parameters to start with, the most important first."""
+    return tuple(sorted((known for known in declarations() if known.basic), key=lambda known: known.basic))
+
+
+@cache
+def group_headings() -> dict[str, str]:
+    """Return a heading for each group, by its name, in the order of declaration; that of "" is for those in none."""
+    headings = {"": "Input, output and the node"}
+    for name, hint in get_type_hints(Parameters).items():
+        if is_dataclass(hint):
+            headings[name] = (getdoc(hint) or "").partition("\n")[0].rstrip(".")
+    return headings
+
+
 def declaration(name: str) -> Declaration:
     """Return the parameter called `name`.
 
@@ -483,7 +557,7 @@ def declaration(name: str) -> Declaration:
         if known.name == name:
             return known
     near = nearest_name(name, [known.name for known in declarations()])
-    hint = f"nearest known: {near}" if near else "`imgu params` lists those that there are"
+    hint = f"nearest known: {near}" if near else "`imgu params --all` lists the parameters"
     raise ParameterError(f"{name}: unknown parameter; {hint}")
 
 

@@ -104,10 +104,10 @@ def _checked_scalar(name: str, value: object, type_name: str, known: Declaration
             f"{name}: {_shown(value)}; need {_listed(known.choices)}" + (f" (nearest: {near})" if near else "")
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
-        low = -math.inf if known.minimum is None else known.minimum
-        high = math.inf if known.maximum is None else known.maximum
+        low, high = known.bounds or (-math.inf, math.inf)
         if not low <= value <= high or value in (-math.inf, math.inf):
-            raise ParameterError(f"{name}: {_shown(value)}; need {_range(known)}")
+            unit = f" {known.unit}" if known.unit else ""
+            raise ParameterError(f"{name}: {_shown(value)}; need {known.range_text or 'a finite number'}{unit}")
     return value
 
 
@@ -123,23 +123,6 @@ def _shown(value: object) -> str:
         return f"an integer of {value.bit_length()} bits"
     text = " ".join(repr(value).split())
     return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "..."
-
-
-def _range(known: Declaration) -> str:
-    if known.minimum is None or known.maximum is None:
-        limits = [
-            f"{word} {_number(limit)}"
-            for word, limit in (("at least", known.minimum), ("at most", known.maximum))
-            if limit is not None
-        ]
-        text = limits[0] if limits else "a finite number"
-    else:
-        text = f"{_number(known.minimum)} to {_number(known.maximum)}"
-    return f"{text} {known.unit}" if known.unit else text
-
-
-def _number(limit: float) -> str:
-    return str(limit) if isinstance(limit, int) else f"{limit:.15g}"
 
 
 def _article(type_name: str) -> str:

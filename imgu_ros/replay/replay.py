@@ -78,7 +78,7 @@ def replay(
     with HeldExitStack() as stack:
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
         if not parameters.targets.images:
-            raise ParameterError("targets.images: none; need at least one target's picture, -p targets.images:=[FILE]")
+            raise ParameterError("targets.images: none; need at least one image file, -p targets.images:=FILE")
         targets = prepare_targets(
             load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits),
             parameters,

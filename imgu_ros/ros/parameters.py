@@ -38,7 +38,6 @@ _TYPES = {
     "double_array": Parameter.Type.DOUBLE_ARRAY,
     "integer_array": Parameter.Type.INTEGER_ARRAY,
 }
-_INT64 = 2**63 - 1
 _TOGETHER = "; set values that depend on each other in one call of set_parameters_atomically"
 
 
@@ -202,16 +201,14 @@ def descriptor(known: Declaration) -> ParameterDescriptor:
     constraints = []
     if known.choices:
         constraints.append("one of: " + ", ".join(known.choices))
-    if known.minimum is not None or known.maximum is not None:
-        low = float("-inf") if known.minimum is None else known.minimum
-        high = float("inf") if known.maximum is None else known.maximum
+    if known.bounds:
+        low, high = known.bounds
         if known.type_name == "double":
             made.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)]
         elif known.type_name == "integer":
-            ends = (max(low, -_INT64), min(high, _INT64))
-            made.integer_range = [IntegerRange(from_value=int(ends[0]), to_value=int(ends[1]), step=1)]
+            made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
         else:  # ROS has no range for the elements of a list
-            constraints.append(f"each {low:.10g} to {high:.10g}")
+            constraints.append(f"each {known.range_text}")
     if known.name.startswith(STAGED):
         constraints.append("takes effect on ~/reload")
     made.additional_constraints = "; ".join(constraints)

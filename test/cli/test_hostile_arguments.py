@@ -95,9 +95,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     for module in COMMANDS.values():
         importlib.import_module(module)
     for module in (
-        "bags.replay",
+        "replay.replay",
         "replay.recording",
-        "perception.chain",
+        "localizer",
         "report.overlay",
         "cli.board_views",
         "bench.suites",

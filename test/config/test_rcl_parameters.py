@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imgu_ros.config import yaml_values
+from imgu_ros.config.parameters import basic_declarations, declarations
 from imgu_ros.config.rcl_parameters import RclParameters, section_applies, with_slash
 from imgu_ros.errors import ParameterError
 
@@ -168,6 +169,17 @@ def test_files(rcl: Rcl) -> None:
     for file in FILES:
         expected = rcl(file)
         assert repr(ours(file)) == repr(expected) or (expected is None and file in NEWER), file
+
+
+@pytest.mark.parametrize("name", ["basic.yaml", "perception.yaml"])
+def test_files_of_the_package(rcl: Rcl, repository: Path, name: str) -> None:
+    file = (repository / "config" / name).read_bytes()
+    expected = rcl(file)
+    assert expected is not None
+    assert ours(file) == expected
+    assert len(basic_declarations()) <= 8
+    held = basic_declarations() if name == "basic.yaml" else [known for known in declarations() if known.default != ()]
+    assert set(expected) == {known.name for known in held}
 
 
 @pytest.mark.parametrize("name", ["/perception", "/left/perception", "/a/b/perception"])

@@ -80,7 +80,7 @@ def other_value(known: Declaration) -> Any:
         return f"{now}x"
     if known.type_name in ("integer", "double"):
         step = max(1, now // 8) if known.type_name == "integer" else max(abs(now) / 8, 0.05)
-        return now + step if known.maximum is None or now + step <= known.maximum else now - step
+        return now + step if known.bounds is None or now + step <= known.bounds[1] else now - step
     one = {"string": "x", "double": 1.0, "integer": 0}[known.type_name.removesuffix("_array")]
     for count in range(1, 101):
         try:

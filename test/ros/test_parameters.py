@@ -12,11 +12,13 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
 import rclpy
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.files import parse_override, read_parameter_file
 from imgu_ros.config.parameters import Declaration, Parameters, declarations
 from imgu_ros.config.values import parameter_values, parameters_from
 from imgu_ros.errors import ParameterError
@@ -74,12 +76,10 @@ def test_every_declaration_is_described(make_node):
         assert (tuple(value) if isinstance(known.default, tuple) else value) == known.default
         for choice in known.choices:
             assert choice in described.additional_constraints
-        if known.type_name == "double" and known.minimum is not None:
-            assert described.floating_point_range[0].from_value == known.minimum
-            assert described.floating_point_range[0].to_value == (known.maximum or float("inf"))
-        if known.type_name == "integer" and known.minimum is not None:
-            assert described.integer_range[0].from_value == known.minimum
-            assert described.integer_range[0].step == 1
+        if known.bounds and known.type_name in ("double", "integer"):
+            (given,) = described.floating_point_range or described.integer_range
+            assert (given.from_value, given.to_value) == known.bounds
+            assert given.step == (known.type_name == "integer")
     # None but these and rclpy's own.
     names = {d.name for d in declarations()}
     assert {n for n in node._parameters if n not in names} <= {"use_sim_time", "start_type_description_service"}
@@ -206,6 +206,115 @@ def test_an_encoding_is_set_although_the_camera_file_has_vanished(make_node, tmp
     assert "camera.yaml" in node.set(camera__rectified=True).reason
 
 
+#: Each list parameter with one value, as people write it, and what the list is then; values that it needs beside it.
+ONE_VALUE = [
+    ("targets.images", "poster.png", ("poster.png",), ()),
+    ("targets.names", "poster", ("poster",), ("targets.images:=[a.png]",)),
+    ("targets.widths_m", "0.42", (0.42,), ("targets.images:=a.png",)),
+    ("targets.widths_m", "1", (1.0,), ("targets.images:=a.png",)),
+    ("raw.bands", "3", (3,), ()),
+    ("raw.band_weights", "2", (2.0,), ()),
+    ("raw.reference_spectrum", "-0.5", (-0.5,), ()),
+]
+#: Lists of which one value is too few.
+TOO_FEW = [
+    ("targets.poses", "0.5", "targets.poses: 1 values; need none, or 7: seven for each of targets.images"),
+    ("raw.gains", "2", "raw.gains: 1 values; need 3 (red, green, blue)"),
+    ("raw.grey_weights", "0.5", "raw.grey_weights: 1 values; need 3 (red, green, blue)"),
+    ("camera.covariance", "4.0", "camera.covariance: 1 values; need 16"),
+]
+
+
+def test_every_list_is_tried_with_one_value():
+    lists = {known.name for known in declarations() if known.type_name.endswith("_array")}
+    assert {name for name, *_ in ONE_VALUE + TOO_FEW} == lists
+
+
+def value_of(parameters: Parameters, name: str) -> object:
+    return parameter_values(parameters)[name]
+
+
+@pytest.mark.parametrize(("name", "text", "expected", "beside"), ONE_VALUE)
+def test_one_value_serves_as_a_list_of_one(make_node, tmp_path, name, text, expected, beside):
+    """In an override, in a file, and in a set of the running node, which shows a list in each case."""
+    override = f"{name}:={text}"
+    file = tmp_path / "p.yaml"
+    file.write_text(f"/**:\n  ros__parameters:\n    {name}: {text}\n")
+    for node in (make_node(*beside, override), make_node(*beside, arguments=["--params-file", str(file)])):
+        assert value_of(node.server.parameters, name) == expected
+        assert tuple(node.get_parameter(name).value) == expected
+        assert node.get_parameter(name).type_.name.endswith("_ARRAY")
+    node = make_node(*beside)
+    given = type(expected[0])(text)
+    assert node.set(**{name.replace(".", "__"): given}).successful
+    assert tuple(node.get_parameter(name).value) == expected
+    assert value_of(node.server.reload(), name) == expected
+    # Offline it is the same.
+    offline = parameters_from({**dict(map(parse_override, beside)), **read_parameter_file(file)})
+    assert value_of(offline, name) == expected
+    assert value_of(parameters_from(dict(map(parse_override, (*beside, override)))), name) == expected
+
+
+@pytest.mark.parametrize(("name", "text", "said"), TOO_FEW)
+def test_one_value_where_more_are_needed(make_node, name, text, said):
+    with pytest.raises(ParameterError) as caught:
+        make_node("targets.images:=a.png", f"{name}:={text}")
+    assert str(caught.value).startswith(said)
+    node = make_node("targets.images:=a.png")
+    result = node.set(**{name.replace(".", "__"): float(text)})
+    if name.startswith("targets."):  # wait for `~/reload`
+        with pytest.raises(ParameterError) as caught:
+            node.server.reload()
+    assert said in (str(caught.value) if result.successful else result.reason)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("targets.images:=007", "targets.images[0]: 7 (int); need a string, in quotes"),
+        ("targets.names:=on", "targets.names[0]: True (bool); need a string, in quotes"),
+        ("targets.widths_m:=wide", "targets.widths_m[0]: 'wide' (str); need a number"),
+        ("raw.bands:=0.5", "raw.bands[0]: 0.5 (float); need an integer"),
+    ],
+)
+def test_one_value_of_another_type(make_node, override, said):
+    with pytest.raises(ParameterError) as caught:
+        make_node(override)
+    assert str(caught.value) == said
+    with pytest.raises(ParameterError) as caught:
+        parameters_from(dict([parse_override(override)]))
+    assert str(caught.value) == said
+
+
+def test_ros2_param_set_of_one_value(make_node):
+    """Through the node's services, as `ros2 param set` and `ros2 param get` use them."""
+    served = make_node("targets.images:=[a.png, b.png]")
+    peer = Node("peer", context=served.context, enable_rosout=False, start_parameter_services=False)
+    executor = SingleThreadedExecutor(context=served.context)
+    for node in (served, peer):
+        executor.add_node(node)
+    set_them = peer.create_client(SetParameters, "/perception/set_parameters")
+    get_them = peer.create_client(GetParameters, "/perception/get_parameters")
+    assert set_them.wait_for_service(20.0) and get_them.wait_for_service(20.0)
+
+    def call(client, request):
+        future = client.call_async(request)
+        executor.spin_until_future_complete(future, 20.0)
+        return future.result()
+
+    one = Parameter("targets.images", value="poster.png").to_parameter_msg()
+    (result,) = call(set_them, SetParameters.Request(parameters=[one])).results
+    assert result.successful, result.reason
+    (value,) = call(get_them, GetParameters.Request(names=["targets.images"])).values
+    assert (value.type, list(value.string_array_value)) == (9, ["poster.png"])
+    (result,) = call(
+        set_them, SetParameters.Request(parameters=[Parameter("targets.names", value=5).to_parameter_msg()])
+    ).results
+    assert (result.successful, result.reason) == (False, "targets.names[0]: 5 (int); need a string, in quotes")
+    executor.shutdown()
+    peer.destroy_node()
+
+
 def test_qos_overrides_of_unknown_topics_are_named(make_node, tmp_path):
     """As in a dump of the node under other remaps, or a file for several nodes: rclpy says nothing of them."""
     file = tmp_path / "parameters.yaml"
@@ -301,8 +410,7 @@ def drawn(known: Declaration, rng: random.Random) -> Any:
     if kind < 0.1:
         return rng.choice(("no such thing", 2.5, -(2**40), True))
     element = known.type_name.removesuffix("_array")
-    low = -300 if known.minimum is None else known.minimum
-    high = 300 if known.maximum is None else known.maximum
+    low, high = known.bounds or (-300, 300)
 
     def one() -> Any:
         if known.choices:
