@@ -73,7 +73,7 @@ def compare_folders(old: Path, new: Path, ignored: frozenset[str] = frozenset())
 def _compare_file(old: Path, new: Path, ignored: frozenset[str]) -> Iterator[Difference]:
     if old.suffix == ".csv":
         yield from compare_tables(old, new, ignored)
-    elif old.suffix in (".tum", ".exit"):
+    elif old.suffix == ".tum":
         yield from compare_lines(old, new)
     elif old.name == "summary.json":
         yield from compare_summaries(old, new, ignored)
@@ -140,7 +140,7 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 def compare_bags(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
     """Compare the messages of two bags, topic by topic, with their times."""
-    old_topics, new_topics = _messages(old), _messages(new)
+    old_topics, new_topics = bag_messages(old), bag_messages(new)
     for topic, old_messages in old_topics.items():
         if topic in ignored or topic.strip("/") in ignored:
             continue
@@ -157,25 +157,28 @@ def compare_bags(old: Path, new: Path, ignored: frozenset[str] = frozenset()) ->
 
 
 @dataclass(frozen=True, slots=True)
-class _Message:
+class BagMessage:
+    """One message of a bag, serialized."""
+
     type_name: str
     time_ns: int
     data: bytes
 
 
-def _messages(folder: Path) -> dict[str, list[_Message]]:
+def bag_messages(folder: Path) -> dict[str, list[BagMessage]]:
+    """Return the messages of a bag by topic, in their order."""
     from rosbags.highlevel import AnyReader
 
-    topics: dict[str, list[_Message]] = {}
+    topics: dict[str, list[BagMessage]] = {}
     with AnyReader([folder], default_typestore=_store()) as reader:
         for connection in reader.connections:
             topics.setdefault(connection.topic, [])
         for connection, time_ns, data in reader.messages():
-            topics[connection.topic].append(_Message(connection.msgtype, time_ns, bytes(data)))
+            topics[connection.topic].append(BagMessage(connection.msgtype, time_ns, bytes(data)))
     return topics
 
 
-def _field_differences(old: _Message, new: _Message) -> tuple[str, str] | None:
+def _field_differences(old: BagMessage, new: BagMessage) -> tuple[str, str] | None:
     """Return those fields of two messages that differ, as text; None when only times of processing do."""
     if (old.type_name, old.time_ns) != (new.type_name, new.time_ns):
         return f"{old.type_name} at {old.time_ns}", f"{new.type_name} at {new.time_ns}"
@@ -187,7 +190,7 @@ def _field_differences(old: _Message, new: _Message) -> tuple[str, str] | None:
     return texts[0], texts[1]
 
 
-def _decoded(message: _Message) -> dict[str, str]:
+def _decoded(message: BagMessage) -> dict[str, str]:
     return dict(_fields(_store().deserialize_cdr(message.data, message.type_name)))
 
 
@@ -221,10 +224,19 @@ def _fields(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One command line of `imgu` to run; `out` names the files with its output and exit code."""
+    """One command line of `imgu` to run; `out`.log gets what it prints, `out`.exit its exit code."""
 
     arguments: list[str]
     out: Path
+
+    def text(self) -> str:
+        """Return what the command printed."""
+        return Path(f"{self.out}.log").read_text(errors="replace")
+
+    def failure(self) -> str:
+        """Return the exit code and the last line of a command that failed; empty when it succeeded."""
+        code = Path(f"{self.out}.exit").read_text().strip()
+        return "" if code == "0" else f"exit code {code}: {self.text().strip().rpartition(chr(10))[2]}"
 
 
 def run_jobs(tree: Path, jobs: Iterable[Job], folder: Path) -> subprocess.Popen[bytes]:
@@ -272,8 +284,7 @@ def _run_jobs_here(tree: Path, listing: Path) -> int:
                 os.dup2(kept[1], 2)
                 os.close(kept[0])
                 os.close(kept[1])
-        Path(out).mkdir(parents=True, exist_ok=True)
-        (Path(out) / "replay.exit").write_text(f"{code}\n")
+        Path(f"{out}.exit").write_text(f"{code}\n")
     return 0
 
 
@@ -343,13 +354,14 @@ def _compared(parsed: argparse.Namespace, folder: Path) -> int:
     codes = [process.wait() for process in running]
     if any(codes):
         raise SystemExit("same_numbers: error: a process ended before its cases were done")
-    different = 0
+    different, ignored = 0, frozenset(parsed.ignore)
     for case in cases:
-        failure = (folder / "old" / case.name / "replay.exit").read_text().strip()
-        if failure != "0":
-            log = (folder / "old" / f"{case.name}.log").read_text().strip().splitlines()
-            raise SystemExit(f"same_numbers: error: {case.name}: {failure} in {parsed.revision}: {' '.join(log[-1:])}")
-        difference = compare_folders(folder / "old" / case.name, folder / "new" / case.name, frozenset(parsed.ignore))
+        old, new = folder / "old" / case.name, folder / "new" / case.name
+        failure = Job([], old).failure()
+        if failure:
+            raise SystemExit(f"same_numbers: error: {case.name} with {parsed.revision}: {failure}")
+        failure = Job([], new).failure()
+        difference = Difference("exit code", "0", failure) if failure else compare_folders(old, new, ignored)
         different += difference is not None
         print(
             f"{'same  ' if difference is None else 'DIFFERS'} {case.name}" + (f": {difference}" if difference else "")

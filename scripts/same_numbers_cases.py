@@ -89,7 +89,7 @@ def compressed(suffix: str, form: str) -> Callable[[Recording], Recording]:
     def change(recording: Recording) -> Recording:
         for recorded in _images(recording):
             data = cv2.imencode(suffix, cv2.cvtColor(_pixels(recorded.message), cv2.COLOR_RGB2BGR))[1].reshape(-1)
-            recorded.message = _make(
+            recorded.message = make(
                 "sensor_msgs/msg/CompressedImage", header=recorded.message.header, format=form, data=data
             )
             recorded.topic += "/compressed"
@@ -239,7 +239,12 @@ CASES = (
     Case("uyvy", "uyvy"),
     Case("yuyv", "yuyv"),
     Case("32FC1", "32FC1"),
-    Case("8UC5", "8UC5", "-p raw.band_mode:=principal_component"),
+    Case("8UC5", "8UC5"),
+    Case("8UC5_of_bands", "8UC5", "-p raw.band_mode:=weighted -p raw.bands:=[0,4] -p raw.band_weights:=[1.0,2.0]"),
+    Case("8UC5_spectrum", "8UC5", "-p raw.band_mode:=spectral_angle -p raw.reference_spectrum:=[9.0,6.0,3.0,1.0,1.0]"),
+    *_choices("8UC5", "raw.band_mode", "principal_component"),
+    *_choices("rgb8", "raw.transfer", "linear srgb"),
+    Case("grey_weights", "bayer8", "-p raw.grey_weights:=[1.0,0.0,0.5] -p raw.gains:=[2.0,1.0,1.5]"),
     Case("jpeg", "jpeg", is_quick=True),
     Case("png", "png"),
     Case("plumb_bob", "plumb_bob", is_quick=True),
@@ -268,13 +273,15 @@ CASES = (
     *_choices("mono8", "keypoints.detector", "fast harris moravec dog mser", _NO_TRACK),
     *_choices("mono8", "descriptor.kind", "sift rootsift brief patch", _NO_TRACK),
     *_choices("mono8", "matching.metric", "euclidean cosine", _NO_TRACK, "descriptor.kind:=sift"),
-    *_choices("mono8", "matching.metric", "ssd zmssd", _NO_TRACK, "descriptor.kind:=patch"),
+    *_choices("mono8", "matching.metric", "hamming", _NO_TRACK, "descriptor.kind:=brief"),
+    *_choices("mono8", "matching.metric", "ssd zmssd ncc", _NO_TRACK, "descriptor.kind:=patch"),
     *_choices("mono8", "homography.sampler", "uniform", _NO_TRACK),
     *_choices("mono8", "homography.score", "biweight", _NO_TRACK),
     *_choices("mono8", "homography.error", "algebraic transfer symmetric reprojection", _NO_TRACK, _NO_ALIGNMENT),
     *_choices("mono8", "homography.refine", "none steepest_descent gauss_newton", _NO_TRACK, _NO_ALIGNMENT),
     *_choices("mono8", "preprocess.equalisation", "global clahe"),
     *_choices("mono8", "preprocess.edges", "strength", _NO_TRACK),
+    *_choices("mono8", "preprocess.derivative", "scharr gaussian", _NO_TRACK, "preprocess.edges:=strength"),
     *_choices("mono8", "preprocess.threshold", "fixed otsu", _NO_TRACK),
     Case("preprocess", "mono8", "-p preprocess.smoothing_px:=1.0 -p preprocess.contrast:=1.3 -p preprocess.gamma:=0.7 "
          "-p preprocess.brightness:=-10.0"),
@@ -326,12 +333,13 @@ def make_recordings(
     paths = {name: folder / name for name in simulated}
     for name in sorted(wanted & set(CHANGED)):
         changed = CHANGED[name]
-        paths[name] = _write(changed.change(_read(folder / changed.base)), folder / name, changed.storage)
+        paths[name] = write_bag(changed.change(_read(folder / changed.base)), folder / name, changed.storage)
         (folder / f"{name}.yaml").write_text((folder / f"{changed.base}.yaml").read_text())
     return paths
 
 
-def _make(type_name: str, **values: Any) -> Any:
+def make(type_name: str, **values: Any) -> Any:
+    """Make a message."""
     return _STORE.types[type_name](**values)
 
 
@@ -343,7 +351,7 @@ def _read(folder: Path) -> Recording:
         ]
 
 
-def _write(recording: Recording, folder: Path, storage: str) -> Path:
+def write_bag(recording: Recording, folder: Path, storage: str) -> Path:
     """Write a bag; `storage` is mcap, sqlite3, rosbag1, `zstd file` or `zstd message`."""
     if storage == "rosbag1":
         return _write_rosbag1(recording, folder)
