@@ -34,7 +34,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.image_files.images import read_image
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.planar import TargetImage, prepare_targets
-from imgu_ros.result import CalibrationFinding, TargetResult
+from imgu_ros.result import CalibrationFinding, ReferenceResult
 from imgu_ros.simulate.chessboard import random_chessboard_view
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
@@ -147,7 +147,7 @@ def own_covariance(pose: Pose) -> Floats:
 class Run:
     """What a chain said of frames."""
 
-    results: list[tuple[TargetResult, RigidTransform]]
+    results: list[tuple[ReferenceResult, RigidTransform]]
     findings: list[CalibrationFinding | None]
 
     def squared(self) -> Floats:
@@ -167,7 +167,7 @@ def run(chain: Localizer, frames: Sequence[tuple[Floats, RigidTransform]], camer
     results, findings = [], []
     for index, (pixels, truth) in enumerate(frames):
         result = chain.process(Frame(RawImage(pixels, _LAYOUT), index * _PERIOD_NS, "camera", camera))
-        results.append((result.targets[0], truth))
+        results.append((result.first, truth))
         findings.append(result.calibration)
     return Run(results, findings)
 
@@ -249,7 +249,7 @@ def noise(folder: Path, seed: int, frames: int) -> list[dict[str, object]]:
                 )
                 pixels_now = view.frame(index / _LAP_FRAMES, placing, seed, rng)
                 result = chain.process(Frame(RawImage(pixels_now, _LAYOUT), index * _PERIOD_NS, "camera", view.camera))
-                target, said = result.targets[0], result.calibration
+                target, said = result.first, result.calibration
                 if target.calibration is not None:
                     squared.append(target.calibration.chi_squared)
                 if target.pose is not None:

@@ -144,7 +144,7 @@ def measured(scene: Scene, values: dict[str, object], targets: tuple[Target, ...
         ms.append(mine)
         ratios.append(mine / usual)
         for chain, listed in ((plain, errors[0]), (aligned, errors[1])):
-            homography = chain.process(simulated.frame).targets[0].homography
+            homography = chain.process(simulated.frame).first.homography
             if homography is not None:
                 truth = next(t for t in simulated.truths if t.target == targets[0].name)
                 listed.append(corner_error(homography.H, truth.H, targets[0].size, scene.size))

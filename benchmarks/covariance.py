@@ -137,7 +137,7 @@ def measured(setting: Setting, width_share: tuple[float, float], tilt: tuple[flo
             for index, frames in zip(indices, made, strict=True):
                 chain = setting.chains[index % len(setting.chains)]
                 chain.reset()
-                target = [chain.process(frame) for frame in frames][-1].targets[0]
+                target = [chain.process(frame) for frame in frames][-1].first
                 found += target.status.found
                 tracked += target.status.value == "tracked"
                 ambiguous += target.pose_status is PoseStatus.AMBIGUOUS

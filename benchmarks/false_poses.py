@@ -93,7 +93,7 @@ def counted(known: Known, size: tuple[int, int], count: int, seed: int, paramete
         start = time.perf_counter()
         result = chain.process(simulated.frame)
         took += time.perf_counter() - start
-        if any(target.homography is not None for target in result.targets):
+        if any(target.homography is not None for target in result):
             false_at.append(index)
     return Counts(known.target.name, seed, count, tuple(false_at), 1e3 * took / max(count, 1))
 

@@ -151,7 +151,7 @@ def _walk(process: Callable[[Frame], Result], frame: Frame) -> Walk:
         sys.setprofile(None)
         gc.enable()
     path = tuple(FileCalls(_file_of(module), len(list(same))) for module, same in groupby(modules))
-    status = result.targets[0].status.value
+    status = result.first.status.value
     # The last call is that of `sys.setprofile`.
     return Walk(status, len(modules), all_calls - 1, len(set(modules)), max(len(path) - 1, 0), path)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import posed
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.planar import Target
-from imgu_ros.result import Result, Stage, Status, TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.track.frame_times import FrameTimes
 from imgu_ros.track.prediction import Observation, Track
@@ -133,13 +133,8 @@ class Localizer:
                 return self._worked(frame, development.developed, with_keypoints, clock, start)
             except ImguError as error:
                 reason = str(error)
-        return Result(
-            frame,
-            rejected_targets(self._targets, reason),
-            reason=reason,
-            times_ns=clock.times_ns,
-            total_ns=time.perf_counter_ns() - start,
-        )
+        total_ns = time.perf_counter_ns() - start
+        return replace(rejected(frame, self._targets, reason), times_ns=clock.times_ns, total_ns=total_ns)
 
     def _look_at_header(self, frame_id: str, stamp_ns: int) -> None:
         """Remember the frame's camera; forget what was before a jump back in time, but for a frame without a stamp."""
@@ -161,7 +156,7 @@ class Localizer:
         self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
     ) -> Result:
         pictures = GreyPyramid(developed)
-        results: list[TargetResult | None] = [
+        results: list[ReferenceResult | None] = [
             self._followed(index, frame, pictures, clock) for index in range(len(self._targets))
         ]
         missing = [index for index, result in enumerate(results) if result is None]
@@ -173,9 +168,9 @@ class Localizer:
             self._memory.searches += 1
             thorough = self._memory.searches % _THOROUGH_EVERY == 0
             for result in self._seeker.seek(view, missing, clock, thorough):
-                results[result.index] = result
+                results[result.number] = result
         targets = tuple(
-            result or TargetResult(target.name, index, Status.LOST, reason=UNLIKELY if due else NOT_DUE)
+            result or ReferenceResult(target.name, index, Status.LOST, reason=UNLIKELY if due else NOT_DUE)
             for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
         )
         memory = self._memory
@@ -184,7 +179,7 @@ class Localizer:
         targets = memory.calibration.examined(frame.camera, targets)
         return Result(
             frame=frame,
-            targets=targets,
+            references=by_name(targets),
             developed=developed,
             pyramid=features.pyramid if features else None,
             keypoints=features.described.keypoints if features else None,
@@ -194,7 +189,7 @@ class Localizer:
             total_ns=time.perf_counter_ns() - start,
         )
 
-    def _followed(self, index: int, frame: Frame, pictures: GreyPyramid, clock: StageClock) -> TargetResult | None:
+    def _followed(self, index: int, frame: Frame, pictures: GreyPyramid, clock: StageClock) -> ReferenceResult | None:
         """Return the target where its track leads; None when there is no track or it does not hold."""
         memory = self._memory
         track, target, p = memory.tracks[index], self._targets[index], self._parameters
@@ -205,7 +200,7 @@ class Localizer:
                 alignment = follow(target, track, pictures, self._now_ns, frame.camera, p)
         except EstimationError:
             return None
-        found = TargetResult(
+        found = ReferenceResult(
             target.name,
             index,
             Status.TRACKED,
@@ -224,21 +219,21 @@ class Localizer:
         waited = self._memory.frames_without_search + 1
         return just_lost or none_in_view or waited >= self._parameters.tracking.search_every
 
-    def _remember(self, targets: Sequence[TargetResult]) -> None:
+    def _remember(self, targets: Sequence[ReferenceResult]) -> None:
         if not self._parameters.tracking.enabled:
             return
         for result in targets:
-            track = self._memory.tracks[result.index]
+            track = self._memory.tracks[result.number]
             if result.homography is None:
-                self._memory.tracks[result.index] = None
+                self._memory.tracks[result.number] = None
                 continue
             if track is None or result.status is Status.DETECTED:
                 sighting = Observation(result.homography.H, self._now_ns)
-                self._memory.tracks[result.index] = Track([sighting, *self._shortly_before(result.index)])
+                self._memory.tracks[result.number] = Track([sighting, *self._shortly_before(result.number)])
             else:
-                target = self._targets[result.index]
-                self._memory.tracks[result.index] = track.continued(target, result.homography.H, self._now_ns)
-            self._memory.seen[result.index] = Observation(result.homography.H, self._now_ns)
+                target = self._targets[result.number]
+                self._memory.tracks[result.number] = track.continued(target, result.homography.H, self._now_ns)
+            self._memory.seen[result.number] = Observation(result.homography.H, self._now_ns)
 
     def _shortly_before(self, index: int) -> list[Observation]:
         """Return where a target was seen last, when that is no longer ago than it can move on steadily.
@@ -268,16 +263,17 @@ class _Memory:
         return cls([None] * targets, [None] * targets, FrameTimes(), CalibrationCheck())
 
 
-def rejected_targets(targets: Sequence[Target], reason: str) -> tuple[TargetResult, ...]:
-    """Return what is said of each target in a frame that cannot be used, for `reason`."""
+def rejected(frame: Frame, references: Sequence[Target], reason: str) -> Result:
+    """Return the result of a frame that cannot be used, for `reason`."""
     words = unusable_frame(reason)
-    return tuple(TargetResult(target.name, i, Status.REJECTED, reason=words) for i, target in enumerate(targets))
+    results = (ReferenceResult(known.name, i, Status.REJECTED, reason=words) for i, known in enumerate(references))
+    return Result(frame, by_name(results), reason=reason)
 
 
-def _as_matches(alignment: Alignment) -> TargetMatches:
+def _as_matches(alignment: Alignment) -> ReferenceMatches:
     """Return the aligned patches as matches: they have no keypoints, and all agree."""
     count = len(alignment.template_xy)
     none = np.full(count, -1, np.intp)
-    return TargetMatches(
+    return ReferenceMatches(
         Matches(none, none, np.zeros(count)), alignment.template_xy, alignment.image_xy, np.ones(count, bool)
     )

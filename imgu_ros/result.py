@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -57,7 +57,7 @@ class PoseStatus(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TargetMatches:
+class ReferenceMatches:
     """Correspondences between a target and the frame, best first.
 
     Of a detected target they are the tentative matches of keypoints; of a tracked one the patches that were followed
@@ -79,12 +79,12 @@ class TargetMatches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TargetResult:
+class ReferenceResult:
     """One target in one frame.
 
     Attributes
     ----------
-    name, index : the target's name and its place in `targets.images`
+    name, number : of the reference, and its place in `targets.images`, which messages carry
     status, pose_status : see there
     reason : why there is no homography or no pose, in the user's terms first; empty when nothing is missing
     matches : tentative matches; None when the stage was not reached
@@ -104,11 +104,11 @@ class TargetResult:
     """
 
     name: str
-    index: int
+    number: int
     status: Status
     pose_status: PoseStatus = PoseStatus.NONE
     reason: str = ""
-    matches: TargetMatches | None = None
+    matches: ReferenceMatches | None = None
     homography: HomographyEstimate | None = None
     outline: Points | None = None
     pose: Pose | None = None
@@ -118,6 +118,11 @@ class TargetResult:
     most_inliers: int = 0
     calibration: CalibrationTest | None = None
     is_sharp: bool = True
+
+
+def by_name(results: Iterable[ReferenceResult]) -> dict[str, ReferenceResult]:
+    """Return results keyed by the names of their references, in the given order."""
+    return {result.name: result for result in results}
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +154,7 @@ class Result:
     Attributes
     ----------
     frame : what went in
-    targets : one entry for each known target, in the order of `targets.images`; also when the frame was rejected
+    references : by name, one entry for each known reference, in their order; also when the frame was rejected
     reason : why the frame was rejected; empty when it was not
     developed : grey picture, and colour on demand; None when the frame was rejected
     pyramid, keypoints, descriptors : intermediates; None when no target had to be looked for
@@ -159,7 +164,7 @@ class Result:
     """
 
     frame: Frame
-    targets: tuple[TargetResult, ...]
+    references: Mapping[str, ReferenceResult]
     reason: str = ""
     developed: Developed | None = None
     pyramid: Pyramid | None = None
@@ -168,6 +173,14 @@ class Result:
     calibration: CalibrationFinding | None = None
     times_ns: Mapping[Stage, int] | None = None
     total_ns: int = 0
+
+    def __iter__(self) -> Iterator[ReferenceResult]:
+        return iter(self.references.values())
+
+    @property
+    def first(self) -> ReferenceResult:
+        """The result of the first reference, for users of a single one."""
+        return next(iter(self))
 
     @property
     def camera_remarks(self) -> tuple[str, ...]:

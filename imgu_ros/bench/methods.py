@@ -89,6 +89,6 @@ class ChainMethod:
                 t.status.value,
                 t.reason,
             )
-            for t in result.targets
+            for t in result
         )
         return Answered(answers, {stage.value: ns for stage, ns in (result.times_ns or {}).items()})

@@ -16,7 +16,7 @@ from imgu_ros.cli.terminal import fail, say, warn
 if TYPE_CHECKING:
     from imgu_ros.config.parameters import Parameters
     from imgu_ros.frame import Frame
-    from imgu_ros.result import Result, TargetResult
+    from imgu_ros.result import ReferenceResult, Result
     from imgu_ros.vision.camera.pose import Pose
 
 HELP = "find a target in an image file: homography, and the pose when the camera is given"
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.warp:
         _check_warp(arguments.warp, frame)
     result = Localizer(_with_transfer(parameters, frame), targets).process(frame)
-    found = result.targets[0]
+    found = result.first
     for line in (frame.camera_reason, *result.camera_remarks):
         if line:
             warn(line)
@@ -96,7 +96,7 @@ def described(result: Result) -> str:
     """Return the first target's result as a few lines for people."""
     import numpy as np
 
-    target = result.targets[0]
+    target = result.first
     keypoints = 0 if result.keypoints is None else len(result.keypoints)
     lines = [f"{target.name}: {target.status.value}", f"  keypoints   {keypoints}"]
     if target.matches is not None:
@@ -125,7 +125,7 @@ def document(result: Result) -> dict[str, object]:
     """Return the first target's result as what JSON can hold; null for what is unknown."""
     import numpy as np
 
-    target, estimate = result.targets[0], result.targets[0].homography
+    target, estimate = result.first, result.first.homography
     matches = target.matches
     return {
         "target": target.name,
@@ -194,7 +194,7 @@ def _write_warped(arguments: argparse.Namespace, result: Result, size: tuple[int
     from imgu_ros.image_files.images import write_image
     from imgu_ros.vision.formation.layout import ColorModel
 
-    frame, homography = result.frame, result.targets[0].homography
+    frame, homography = result.frame, result.first.homography
     mosaic = frame.image.layout.color is ColorModel.BAYER
     scene = result.developed.color() if mosaic and result.developed is not None else frame.image.pixels
     if homography is not None:
@@ -270,7 +270,7 @@ def _row(row: object) -> str:
     return " ".join(f"{value: .6e}" for value in np.asarray(row))
 
 
-def _no_pose(target: TargetResult, camera_reason: str) -> str:
+def _no_pose(target: ReferenceResult, camera_reason: str) -> str:
     words = {"no_size": "need --width-m"}
     if target.pose_status.value == "uncalibrated" and not camera_reason:
         words["uncalibrated"] = "need --camera-info"

@@ -18,7 +18,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.reference.features import TargetFeatures, thorough_parameters
 from imgu_ros.reference.planar import Target
-from imgu_ros.result import Stage, Status, TargetResult
+from imgu_ros.result import ReferenceResult, Stage, Status
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -82,7 +82,7 @@ class ReferenceDetector:
 
     def seek(
         self, view: View, missing: Sequence[int], clock: StageClock, although_tracked: bool
-    ) -> Iterator[TargetResult]:
+    ) -> Iterator[ReferenceResult]:
         """Yield what became of the missing targets that were looked for.
 
         Those that a first look does not find are looked for from near, then thoroughly.
@@ -94,7 +94,7 @@ class ReferenceDetector:
         clock : takes the time of the stages
         although_tracked : look more than once also when others were found before this search
         """
-        left: dict[int, TargetResult | None] = dict.fromkeys(missing)
+        left: dict[int, ReferenceResult | None] = dict.fromkeys(missing)
         covered = list(view.covered)
         for look in SearchPass if self._again(view, although_tracked) else (SearchPass.FIRST,):
             if not left:
@@ -103,10 +103,10 @@ class ReferenceDetector:
             if look is SearchPass.THOROUGH:
                 features = find_features(view.pictures, thorough_parameters(self._parameters), clock)
             for result in self._search(replace(view, features=features, covered=covered[:]), look, tuple(left), clock):
-                left[result.index] = result
+                left[result.number] = result
                 if result.outline is not None:
                     covered.append(result.outline)
-                    yield left.pop(result.index) or result
+                    yield left.pop(result.number) or result
         yield from (result for result in left.values() if result is not None)
 
     def _again(self, view: View, although_tracked: bool) -> bool:
@@ -115,7 +115,7 @@ class ReferenceDetector:
 
     def _search(
         self, view: View, look: SearchPass, missing: Sequence[int], clock: StageClock
-    ) -> Iterator[TargetResult]:
+    ) -> Iterator[ReferenceResult]:
         features = _uncovered(view, view.features)
         searched = Searched(view.frame, view.pictures, features, look)
         parameters = thorough_parameters(self._parameters) if look is SearchPass.THOROUGH else self._parameters
@@ -136,12 +136,12 @@ class ReferenceDetector:
             # The frame's keypoints that are told are all those of the first look.
             yield _without_indices(result) if look is not SearchPass.FIRST or view.covered else result
 
-    def match(self, described: Descriptions) -> Iterator[TargetResult]:
+    def match(self, described: Descriptions) -> Iterator[ReferenceResult]:
         """Yield the targets that a first look would look for, the most likely first, with their tentative matches."""
         for index in self._likely(described, range(len(self._targets)), _FEWEST_VOTES[SearchPass.FIRST]):
             target = self._targets[index]
             matches = tentative_matches(target.features, described, self._parameters)
-            yield TargetResult(target.name, index, Status.LOST, matches=matches)
+            yield ReferenceResult(target.name, index, Status.LOST, matches=matches)
 
     def _likely(self, described: Descriptions, missing: Sequence[int], fewest: int) -> Sequence[int]:
         """Return the missing targets that are worth a search, the most likely first."""
@@ -157,7 +157,7 @@ def _index_of(*features: TargetFeatures) -> DescriptorIndex:
     return build_index([known.described.descriptors for known in features])
 
 
-def while_promising(results: Iterable[TargetResult]) -> Iterator[TargetResult]:
+def while_promising(results: Iterable[ReferenceResult]) -> Iterator[ReferenceResult]:
     """Yield results, the most likely targets first, until several in a row say that there is nothing to be found."""
     failures = 0
     for result in results:
@@ -167,7 +167,7 @@ def while_promising(results: Iterable[TargetResult]) -> Iterator[TargetResult]:
             break
 
 
-def _without_indices(result: TargetResult) -> TargetResult:
+def _without_indices(result: ReferenceResult) -> ReferenceResult:
     """Return a result whose matches name no keypoints."""
     if result.matches is None:
         return result

@@ -13,7 +13,7 @@ from imgu_ros.errors import EstimationError
 from imgu_ros.pose.planar_pose import Located, require_plausible
 from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import Target
-from imgu_ros.result import TargetMatches
+from imgu_ros.result import ReferenceMatches
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.guided import guided_homography
 from imgu_ros.vision.matching.matches import Matches
@@ -33,7 +33,7 @@ class Guided:
     located : from the inliers
     """
 
-    matches: TargetMatches
+    matches: ReferenceMatches
     located: Located
 
 
@@ -71,7 +71,7 @@ def guided(
         return found
     inliers = more.homography.inliers
     matches = Matches(more.matches.index_src, usable[more.matches.index_dst], more.matches.distance)
-    tentative = TargetMatches(
+    tentative = ReferenceMatches(
         matches, known.described.keypoints.xy[matches.index_src], described.keypoints.xy[matches.index_dst], inliers
     )
     located = Located(tentative.template_xy[inliers], tentative.image_xy[inliers], more.homography)

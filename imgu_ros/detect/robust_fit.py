@@ -17,7 +17,7 @@ from imgu_ros.pose.planar_pose import Located, bending, posed, require_plausible
 from imgu_ros.reasons import why_not_found
 from imgu_ros.reference.planar import Target
 from imgu_ros.reference.verification import require_confirmed
-from imgu_ros.result import Stage, Status, TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.track.refinement import Alignment, refine_by_alignment
 from imgu_ros.types import Mask, Matrix3, Points
@@ -43,7 +43,7 @@ _CONFIRMING_SHARE = 0.8
 
 
 #: What `posed` does, or a part of it.
-Finish = Callable[[TargetResult, Target, Located, Camera | None, Parameters, str], TargetResult]
+Finish = Callable[[ReferenceResult, Target, Located, Camera | None, Parameters, str], ReferenceResult]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +65,7 @@ class Sight:
 
 
 def located(
-    target: TargetResult,
+    target: ReferenceResult,
     known: Target,
     sight: Sight,
     parameters: Parameters,
@@ -73,7 +73,7 @@ def located(
     clock: StageClock,
     guide: Callable[[Guided], Guided] | None = None,
     finish: Finish = posed,
-) -> TargetResult:
+) -> ReferenceResult:
     """Find where a target is by its tentative matches; what fails becomes a status with its reason.
 
     Parameters
@@ -125,7 +125,7 @@ def located(
         return finish(detected, known, place, sight.camera, parameters, sight.camera_reason)
 
 
-def _missing(target: TargetResult, error: EstimationError, matches: int, parameters: Parameters) -> TargetResult:
+def _missing(target: ReferenceResult, error: EstimationError, matches: int, parameters: Parameters) -> ReferenceResult:
     """Return the result of a target that was looked for and not found."""
     agreeing = max(target.most_inliers, error.inliers if isinstance(error, NoConsensus) else 0)
     return replace(
@@ -152,7 +152,7 @@ class _Agreed:
 
 
 def _agreed(
-    matches: TargetMatches, sight: Sight, lens: Camera | None, parameters: Parameters, rng: np.random.Generator
+    matches: ReferenceMatches, sight: Sight, lens: Camera | None, parameters: Parameters, rng: np.random.Generator
 ) -> _Agreed:
     p = parameters.homography
     usable = np.arange(len(matches.template_xy))
@@ -181,7 +181,7 @@ def _agreed(
     return _Agreed(model.denormalised(consensus.hypothesis), inliers, ideal)
 
 
-def _start(target: Target, agreed: _Agreed, matches: TargetMatches) -> Matrix3:
+def _start(target: Target, agreed: _Agreed, matches: ReferenceMatches) -> Matrix3:
     """Return where to align from: the consensus, or its nearest affine map when that cannot be a view of the target.
 
     Where a small part of a target is in view, its perspective is too uncertain to be continued to all of it.
@@ -193,7 +193,7 @@ def _start(target: Target, agreed: _Agreed, matches: TargetMatches) -> Matrix3:
     return np.vstack((affine.T, (0.0, 0.0, 1.0)))
 
 
-def _fitted(agreed: _Agreed, matches: TargetMatches, parameters: Parameters) -> Located:
+def _fitted(agreed: _Agreed, matches: ReferenceMatches, parameters: Parameters) -> Located:
     """Return the location that minimises the inliers' error."""
     p = parameters.homography
     estimate = fit_homography(

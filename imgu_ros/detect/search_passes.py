@@ -19,7 +19,7 @@ from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.pose.planar_pose import bending
 from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import Target
-from imgu_ros.result import Stage, Status, TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.matches import Matches
@@ -63,12 +63,12 @@ def search(
     parameters: Parameters,
     rng: np.random.Generator,
     clock: StageClock,
-) -> TargetResult:
+) -> ReferenceResult:
     """Look for a target in a frame; what fails becomes a status with its reason."""
     with clock.measures(Stage.MATCH):
         known = searched.features_of(target)
         matches = tentative_matches(known, searched.features.described, parameters)
-    missing = TargetResult(target.name, index, Status.LOST, matches=matches)
+    missing = ReferenceResult(target.name, index, Status.LOST, matches=matches)
     frame = searched.frame
     sight = Sight(frame.camera, searched.pictures, searched.features.unit_px, frame.camera_reason)
     guide = None
@@ -84,13 +84,13 @@ _FEATURES: dict[SearchPass, Callable[[Target], TargetFeatures]] = {
 }
 
 
-def tentative_matches(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> TargetMatches:
+def tentative_matches(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> ReferenceMatches:
     """Match the descriptors of a frame to those of a target, best first."""
     p = parameters.matching
     found = match_to_gallery(described.descriptors, known.gallery, p.ratio, p.mutual)
     # Sought from the frame to the target, told from the target to the frame.
     matches = Matches(found.index_dst, found.index_src, found.distance)
-    return TargetMatches(
+    return ReferenceMatches(
         matches,
         known.described.keypoints.xy[matches.index_src],
         described.keypoints.xy[matches.index_dst],

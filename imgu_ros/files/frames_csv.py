@@ -15,7 +15,7 @@ from imgu_ros.errors import FileError
 from imgu_ros.file_access.atomic_files import LineFile
 from imgu_ros.file_access.bounded_reading import file_lines
 from imgu_ros.file_access.text_files import csv_line, csv_writer
-from imgu_ros.result import Result, Stage, TargetResult
+from imgu_ros.result import ReferenceResult, Result, Stage
 from imgu_ros.shown_text import as_cell, cell_text, shown
 from imgu_ros.types import Floats
 
@@ -55,7 +55,7 @@ class FramesWriter:
 
     def write(self, result: Result) -> None:
         """Write one row for each target of `result`."""
-        for target in result.targets:
+        for target in result:
             self._writer.writerow(_row(result, target))
 
 
@@ -81,7 +81,7 @@ def read_rows(path: Path) -> Iterator[dict[str, str]]:
         raise FileError(f"{path}: {error}; need a frames.csv") from None
 
 
-def _row(result: Result, target: TargetResult) -> list[str]:
+def _row(result: Result, target: ReferenceResult) -> list[str]:
     matches, estimate, pose = target.matches, target.homography, target.pose
     row = [
         str(result.frame.stamp_ns),

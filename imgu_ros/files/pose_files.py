@@ -69,7 +69,7 @@ class PoseFiles:
     def write(self, result: Result) -> None:
         """Write what `result` says of poses."""
         frame = result.frame
-        for target in result.targets:
+        for target in result:
             if target.pose is not None:
                 if not self._rising.takes(target.name, frame.stamp_ns):
                     continue

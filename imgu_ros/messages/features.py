@@ -6,7 +6,7 @@ Columns are aligned to their size, so that a reader in C may take pointers to th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from imgu_ros.errors import EncodingError
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.point_cloud import Table, decode_point_cloud, point_cloud_message
-from imgu_ros.result import TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult
 from imgu_ros.types import Image
 from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.matches import Matches
@@ -104,14 +104,14 @@ def decode_keypoints(message: Any) -> tuple[Keypoints, Image | None]:
     return keypoints, descriptors
 
 
-def matches_message(make: MessageFactory, header: Header, targets: Sequence[TargetResult]) -> Any:
+def matches_message(make: MessageFactory, header: Header, results: Iterable[ReferenceResult]) -> Any:
     """Return the matches of every target as one PointCloud2 with the columns of `MATCH_DTYPE`, best first."""
     tables = [np.zeros(0, MATCH_DTYPE)]
-    for target in targets:
+    for target in results:
         if target.matches is None:
             continue
         table = np.zeros(len(target.matches.matches), MATCH_DTYPE)
-        table["target"] = target.index
+        table["target"] = target.number
         table["template_x"], table["template_y"] = target.matches.template_xy.T
         table["image_x"], table["image_y"] = target.matches.image_xy.T
         table["distance"] = target.matches.matches.distance
@@ -127,7 +127,7 @@ def decode_matches(message: Any) -> Table:
     return table
 
 
-def decode_target_matches(message: Any) -> dict[int, TargetMatches]:
+def decode_target_matches(message: Any) -> dict[int, ReferenceMatches]:
     """Read what `matches_message` writes: the matches of each target, in the order in which targets appear first.
 
     They name no keypoints: `index_src` and `index_dst` are -1.
@@ -143,7 +143,7 @@ def decode_target_matches(message: Any) -> dict[int, TargetMatches]:
 
 
 def homographies_message(
-    make: MessageFactory, header: Header, targets: Sequence[TargetResult], *, calibrated: bool
+    make: MessageFactory, header: Header, results: Iterable[ReferenceResult], *, calibrated: bool
 ) -> Any:
     """Return the homographies as one PointCloud2 with the columns of `HOMOGRAPHY_DTYPE`: a row for each target seen.
 
@@ -151,12 +151,12 @@ def homographies_message(
     ----------
     calibrated : whether the frame has a camera, so that H leads to the ideal pixels of its lens
     """
-    seen = [target for target in targets if target.homography is not None]
+    seen = [target for target in results if target.homography is not None]
     table = np.zeros(len(seen), HOMOGRAPHY_DTYPE)
     for row, target in zip(table, seen, strict=True):
         estimate = target.homography
         assert estimate is not None
-        row["target"] = target.index
+        row["target"] = target.number
         row["h"] = estimate.H.ravel()
         row["covariance"] = estimate.covariance.ravel()
         row["n_inliers"] = np.count_nonzero(estimate.inliers)
@@ -226,12 +226,12 @@ def decode_estimates(message: Any, inliers: Mapping[int, int]) -> dict[int, Homo
     return found
 
 
-def _target_matches(table: Table) -> TargetMatches:
+def _target_matches(table: Table) -> ReferenceMatches:
     none = np.full(len(table), -1, np.intp)
     columns = {name: _column(table, name).astype(np.float64) for name in _MATCH_NUMBERS}
     if not all(np.isfinite(column).all() for column in columns.values()):
         raise EncodingError("matches: a coordinate or distance is not finite; need finite numbers")
-    return TargetMatches(
+    return ReferenceMatches(
         Matches(none, none, columns["distance"]),
         np.column_stack((columns["template_x"], columns["template_y"])),
         np.column_stack((columns["image_x"], columns["image_y"])),

@@ -20,7 +20,7 @@ from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
 from imgu_ros.messages.status import status_message
 from imgu_ros.pose.frame_tree import StampedTransform
-from imgu_ros.result import Result, TargetResult
+from imgu_ros.result import ReferenceResult, Result
 from imgu_ros.types import Image
 
 
@@ -40,7 +40,7 @@ class TargetOutput:
     """
 
     type_name: str
-    message: Callable[[MessageFactory, Result, TargetResult, str], Any | None]
+    message: Callable[[MessageFactory, Result, ReferenceResult, str], Any | None]
 
 
 def result_header(result: Result) -> Header:
@@ -97,9 +97,9 @@ def result_keypoints_message(make: MessageFactory, result: Result) -> Any | None
 
 def result_matches_message(make: MessageFactory, result: Result) -> Any | None:
     """Return `matches`, of all targets."""
-    if all(target.matches is None for target in result.targets):
+    if all(target.matches is None for target in result):
         return None
-    return matches_message(make, result_header(result), result.targets)
+    return matches_message(make, result_header(result), result)
 
 
 def result_homographies_message(make: MessageFactory, result: Result) -> Any | None:
@@ -107,7 +107,7 @@ def result_homographies_message(make: MessageFactory, result: Result) -> Any | N
     if result.reason:
         return None
     calibrated = result.frame.camera is not None
-    return homographies_message(make, result_header(result), result.targets, calibrated=calibrated)
+    return homographies_message(make, result_header(result), result, calibrated=calibrated)
 
 
 def result_status_message(make: MessageFactory, result: Result) -> Any:
@@ -115,18 +115,18 @@ def result_status_message(make: MessageFactory, result: Result) -> Any:
     return status_message(make, result_header(result), result)
 
 
-def target_outline_message(make: MessageFactory, result: Result, target: TargetResult, _: str) -> Any | None:
+def target_outline_message(make: MessageFactory, result: Result, target: ReferenceResult, _: str) -> Any | None:
     """Return `outline`."""
     return None if target.outline is None else outline_message(make, result_header(result), target.outline)
 
 
-def target_pose_message(make: MessageFactory, result: Result, target: TargetResult, _: str) -> Any | None:
+def target_pose_message(make: MessageFactory, result: Result, target: ReferenceResult, _: str) -> Any | None:
     """Return `pose`."""
     return None if target.pose is None else pose_message(make, result_header(result), target.pose)
 
 
 def target_odometry_message(
-    make: MessageFactory, result: Result, target: TargetResult, target_frame: str
+    make: MessageFactory, result: Result, target: ReferenceResult, target_frame: str
 ) -> Any | None:
     """Return `odom`."""
     return None if target.pose is None else odometry_message(make, result_header(result), target_frame, target.pose)
@@ -137,7 +137,7 @@ def target_transforms(result: Result, target_prefix: str) -> list[StampedTransfo
     stamp_ns, camera_frame = result.frame.stamp_ns, result.frame.frame_id
     return [
         StampedTransform(stamp_ns, camera_frame, target_prefix + target.name, target.pose.transform)
-        for target in result.targets
+        for target in result
         if target.pose is not None
     ]
 

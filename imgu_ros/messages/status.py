@@ -10,7 +10,7 @@ import numpy as np
 
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header, header_message
-from imgu_ros.result import PoseStatus, Result, Stage, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Stage, Status
 from imgu_ros.shown_text import shown
 
 #: So much of an encoding's name is shown.
@@ -38,7 +38,7 @@ def status_message(make: MessageFactory, header: Header, result: Result) -> Any:
     return make(
         "diagnostic_msgs/msg/DiagnosticArray",
         header=header_message(make, header),
-        status=[_entry(make, header, result, target) for target in result.targets],
+        status=[_entry(make, header, result, target) for target in result],
     )
 
 
@@ -65,7 +65,7 @@ def image_words(message: Any) -> str:
     return shown(str(message.format), _SHOWN) if hasattr(message, "format") else ""
 
 
-def _entry(make: MessageFactory, header: Header, result: Result, target: TargetResult) -> Any:
+def _entry(make: MessageFactory, header: Header, result: Result, target: ReferenceResult) -> Any:
     level = max(_LEVELS[target.status], _POSE_LEVELS.get(target.pose_status, OK))
     reason = target.reason or result.reason
     words = ", ".join(word.value for word in (target.status, target.pose_status) if word.value)
@@ -80,7 +80,7 @@ def _entry(make: MessageFactory, header: Header, result: Result, target: TargetR
     )
 
 
-def _values(result: Result, target: TargetResult) -> dict[str, str]:
+def _values(result: Result, target: ReferenceResult) -> dict[str, str]:
     values = {"status": target.status.value}
     if target.pose_status is not PoseStatus.NONE:
         values["pose_status"] = target.pose_status.value

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imgu_ros.errors import ImguError
-from imgu_ros.result import CalibrationFinding, TargetResult
+from imgu_ros.result import CalibrationFinding, ReferenceResult
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.camera.calibration_evidence import CalibrationEvidence, weigh_calibration
 from imgu_ros.vision.camera.calibration_test import CalibrationTest
@@ -94,7 +94,7 @@ class CalibrationCheck:
         """
         return self._extra is not None or not self._knows(camera) or (self._is_due() and self._is_new(index, outline))
 
-    def examined(self, camera: Camera | None, targets: Sequence[TargetResult]) -> tuple[TargetResult, ...]:
+    def examined(self, camera: Camera | None, targets: Sequence[ReferenceResult]) -> tuple[ReferenceResult, ...]:
         """Take what one frame says, and return its targets with what is known now in the covariances of their poses.
 
         Parameters
@@ -112,7 +112,7 @@ class CalibrationCheck:
         before, due = self._new, self._is_due()
         for target in targets:
             if due and target.calibration is not None and target.outline is not None and target.is_sharp:
-                self._add(target.index, target.outline, target.calibration)
+                self._add(target.number, target.outline, target.calibration)
         self._since = 0 if self._new > before else self._since + 1
         if self._new > before and self._new >= _NEW_SHARE * len(self._views):
             self._weigh(camera)
@@ -161,7 +161,7 @@ class CalibrationCheck:
         self._extra = None if evidence.covariance is None else factor_of(evidence.covariance)
         self._finding = finding_of(evidence, self._finding)
 
-    def _with_misfit(self, target: TargetResult) -> TargetResult:
+    def _with_misfit(self, target: ReferenceResult) -> ReferenceResult:
         if self._extra is None or target.pose is None:
             return target
         # Poses of one frame are fused by the errors that they share: all have as many.

@@ -33,14 +33,14 @@ def camera_in_map(
     EstimationError
         If the targets' poses contradict each other so much that no pose lies between them.
     """
-    posed = [target for target in result.targets if target.pose is not None]
+    posed = [target for target in result if target.pose is not None]
     poses = [
-        pose_seen_from(map_from_target[target.index], target.pose.inverse())
+        pose_seen_from(map_from_target[target.number], target.pose.inverse())
         for target in posed
         if target.pose is not None
     ]
     slack = [
-        _misplacement(map_from_target[target.index].t - pose.t, widths_m[target.index])
+        _misplacement(map_from_target[target.number].t - pose.t, widths_m[target.number])
         for target, pose in zip(posed, poses, strict=True)
     ]
     return fuse_poses(poses, slack) if poses else None

@@ -14,7 +14,7 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.reasons import NO_CAMERA_INFO, NO_SIZE, no_pose, why_ambiguous
 from imgu_ros.reference.planar import Target
-from imgu_ros.result import PoseStatus, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -51,14 +51,14 @@ def bending(camera: Camera | None) -> Camera | None:
 
 
 def posed(
-    found: TargetResult,
+    found: ReferenceResult,
     target: Target,
     located: Located,
     camera: Camera | None,
     parameters: Parameters,
     camera_reason: str = "",
     check: CalibrationCheck | None = None,
-) -> TargetResult:
+) -> ReferenceResult:
     """Complete a result by homography, outline and, where it can be, pose.
 
     Parameters
@@ -82,7 +82,7 @@ def posed(
         return seen(pose_status=PoseStatus.NO_SIZE, reason=NO_SIZE)
     try:
         if located.condensed is not None:
-            asked = check is None or camera.covariance is not None or check.wants(camera, found.index, outline)
+            asked = check is None or camera.covariance is not None or check.wants(camera, found.number, outline)
             poses = poses_of_homography(
                 located.condensed,
                 camera.K,

@@ -68,10 +68,10 @@ class SizeChecks:
     def add(self, result: Result) -> list[str]:
         """Look at a frame's poses; return what is new."""
         new = []
-        for found in result.targets:
-            if found.pose is None or found.name in self.warnings or found.index >= len(self._targets):
+        for found in result:
+            if found.pose is None or found.name in self.warnings or found.number >= len(self._targets):
                 continue
-            warning = size_warning(found.name, self._targets[found.index].width_m, float(np.linalg.norm(found.pose.t)))
+            warning = size_warning(found.name, self._targets[found.number].width_m, float(np.linalg.norm(found.pose.t)))
             if warning:
                 self.warnings[found.name] = warning
                 new.append(warning)

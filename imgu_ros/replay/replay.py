@@ -15,7 +15,7 @@ from imgu_ros.bags.reading import open_bag
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.localizer import Localizer, rejected_targets
+from imgu_ros.localizer import Localizer, rejected
 from imgu_ros.messages.results import needs_keypoints
 from imgu_ros.reference.planar import Target, prepare_targets
 from imgu_ros.reference.size_checks import SizeChecks
@@ -28,7 +28,6 @@ from imgu_ros.replay.result_items import Files, ResultItem
 from imgu_ros.replay.result_sink import ResultSink, result_sink
 from imgu_ros.replay.statistics import Replayed, ReplayStatistics
 from imgu_ros.report.summary import Source, Summary
-from imgu_ros.result import Result
 from imgu_ros.simulate.truth import read_truth
 from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.threads import one_processor_left_over, quick_thread_switches
@@ -164,7 +163,7 @@ class _Run:
         with quick_thread_switches(), one_processor_left_over():
             for read in frames:
                 result = (
-                    _rejected(read, self.targets)
+                    rejected(read.frame, self.targets, read.reason)
                     if read.development is None
                     else worker.process(read.frame, with_keypoints, read.development)
                 )
@@ -180,7 +179,3 @@ class _Run:
                 self.warnings.add(read.warnings)
         passed.seconds = time.monotonic() - start
         return passed
-
-
-def _rejected(read: ReadFrame, targets: Sequence[Target]) -> Result:
-    return Result(read.frame, rejected_targets(targets, read.reason), reason=read.reason)

@@ -18,7 +18,7 @@ from imgu_ros.messages.results import FRAME_OUTPUTS, TARGET_OUTPUTS, level_messa
 from imgu_ros.pose.map_pose import camera_in_map
 from imgu_ros.replay.recorded_topics import FRAME_TOPICS, TARGET_TOPICS, checked_record, pyramid_level
 from imgu_ros.report.overlay import draw_result
-from imgu_ros.result import Result, TargetResult
+from imgu_ros.result import ReferenceResult, Result
 from imgu_ros.vision.camera.rigid import rigid_transforms
 
 
@@ -62,7 +62,7 @@ class ResultsBag:
             result = replace(result, frame=replace(result.frame, frame_id=self._camera_frame))
         for topic in (*FRAME_TOPICS, *self._record):
             self._write(topic, _frame_message(topic, result), time_ns)
-        for target in result.targets:
+        for target in result:
             for topic in TARGET_TOPICS:
                 frame = self._prefix + target.name
                 self._write_target(
@@ -85,8 +85,8 @@ class ResultsBag:
             if "path" in self._record:
                 self._write("map/path", self._map_path.add(result.frame.stamp_ns, camera_from_map), time_ns)
 
-    def _write_target(self, topic: str, target: TargetResult, message: Any | None, time_ns: int) -> None:
-        unprefixed = (f"/{topic}",) if target.index == 0 else ()
+    def _write_target(self, topic: str, target: ReferenceResult, message: Any | None, time_ns: int) -> None:
+        unprefixed = (f"/{topic}",) if target.number == 0 else ()
         self._write(f"targets/{target.name}/{topic}", message, time_ns, *unprefixed)
 
     def _write(self, topic: str, message: Any | None, time_ns: int, *also: str) -> None:

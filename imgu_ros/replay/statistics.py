@@ -55,7 +55,7 @@ class ReplayStatistics:
         self.calibration = result.calibration or self.calibration
         if not self.layout:
             self._describe(result.frame)
-        for target in result.targets:
+        for target in result:
             if target.reason:
                 status = target.pose_status if target.status.found else target.status
                 self.reasons.add(status.value, target.reason)

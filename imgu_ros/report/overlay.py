@@ -13,7 +13,7 @@ import numpy as np
 from imgu_ros.errors import FileError, ImguError
 from imgu_ros.image_files.images import RASTER_SUFFIXES, write_image
 from imgu_ros.reasons import unusable_frame
-from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status
 from imgu_ros.types import Floats, Image, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
@@ -96,16 +96,16 @@ class _Pen(Protocol):
 
 
 def _draw_over(pen: _Pen, result: Result) -> None:
-    for target in result.targets:
+    for target in result:
         _draw_inliers(pen, target)
-    for target in result.targets:
+    for target in result:
         _draw_outline(pen, target, result.frame.camera)
         _draw_axes(pen, target, result.frame.camera)
-    if result.reason or not result.targets:
+    if result.reason or not result.references:
         text = unusable_frame(result.reason) if result.reason else "no targets"
         pen.text([(text, STATUS_COLORS[Status.REJECTED])])
     else:
-        pen.text([(_status_text(target), STATUS_COLORS[target.status]) for target in result.targets])
+        pen.text([(_status_text(target), STATUS_COLORS[target.status]) for target in result])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,14 +151,14 @@ def _background(result: Result) -> Image:
     return np.asarray(cv2.addWeighted(color, gain, color, 0.0, -low * gain, dtype=cv2.CV_8U))
 
 
-def _draw_inliers(pen: _Pen, target: TargetResult) -> None:
+def _draw_inliers(pen: _Pen, target: ReferenceResult) -> None:
     if target.matches is not None and target.status.found:
         xy = target.matches.image_xy[target.matches.inliers]
         pen.dots(xy, (0, 0, 0), 0.8 * pen.width + 1.3)
         pen.dots(xy, _INLIER, 0.8 * pen.width + 0.5)
 
 
-def _draw_outline(pen: _Pen, target: TargetResult, camera: Camera | None) -> None:
+def _draw_outline(pen: _Pen, target: ReferenceResult, camera: Camera | None) -> None:
     if target.outline is None:
         return
     color = STATUS_COLORS[target.status]
@@ -180,7 +180,7 @@ def _bent_outline(outline: Points, camera: Camera | None) -> Points:
     return camera.raw_pixels(np.concatenate(edges))
 
 
-def _draw_axes(pen: _Pen, target: TargetResult, camera: Camera | None) -> None:
+def _draw_axes(pen: _Pen, target: ReferenceResult, camera: Camera | None) -> None:
     if target.pose is None or target.outline is None or camera is None:
         return
     length = _axis_length_m(target.pose, target.outline, camera)
@@ -209,7 +209,7 @@ def _axis_length_m(pose: Pose, outline: Points, camera: Camera) -> float | None:
     return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min() / 3)
 
 
-def _status_text(target: TargetResult) -> str:
+def _status_text(target: ReferenceResult) -> str:
     parts = [target.name, target.status.value]
     if target.matches is not None and target.status.found:
         # Those that are drawn; the final fit may rest on others.

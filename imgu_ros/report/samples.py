@@ -63,7 +63,10 @@ class SampleChoice:
     def is_due(self, result: Result) -> bool:
         """Look at the next frame, and return whether it is to be kept."""
         index, self._frames = self._frames, self._frames + 1
-        was_missing, self._is_missing = self._is_missing, not any(target.status.found for target in result.targets)
+        was_missing, self._is_missing = (
+            self._is_missing,
+            not any(target.status.found for target in result),
+        )
         is_miss = self._is_missing and not was_missing and len(self.misses) < _MISSES
         is_even = index % self._stride == 0
         if is_miss:
@@ -98,7 +101,7 @@ class Samples:
 
 
 def _sample(index: int, result: Result) -> Sample:
-    caption = ", ".join(f"{t.name}: {t.status.value}" for t in result.targets)
+    caption = ", ".join(f"{t.name}: {t.status.value}" for t in result)
     return Sample(index, result.frame.stamp_ns, caption, _jpeg(draw_result(result)))
 
 

@@ -126,10 +126,10 @@ def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> It
     if last is None:
         yield Cause(Kind.WAITING, f"waiting for images on {source.topics.image} ({domain_text(node)})")
         return
-    if not any(target.status.found for target in last.targets):
+    if not any(target.status.found for target in last):
         yield from _not_seen(last, source, worker, now)
-    elif all(target.pose is None for target in last.targets) and last.frame.camera is not None:
-        first = next(target for target in last.targets if target.status.found)
+    elif all(target.pose is None for target in last) and last.frame.camera is not None:
+        first = next(target for target in last if target.status.found)
         yield Cause(Kind.NO_POSE, f"{first.name}: {first.reason}")
     if last.frame.camera is None and source.open_s(now) > _PATIENCE_S:
         yield from _uncalibrated(last, node, source, now)
@@ -144,8 +144,8 @@ def _not_seen(last: Result, source: ImageInput, worker: Worker, now: float) -> I
         return
     # Of those that are looked for, the one that came nearest.
     most = sought.most_inliers
-    name = max(most, key=lambda key: most[key], default=last.targets[0].name)
-    reason = next(target.reason for target in last.targets if target.name == name)
+    name = max(most, key=lambda key: most[key], default=last.first.name)
+    reason = last.references[name].reason
     yield Cause(
         Kind.NOT_SEEN,
         f"target not seen: {name}: best so far {most.get(name, 0)} inliers, "
@@ -184,7 +184,7 @@ def _output(name: str, state: NodeState, found: Sequence[Cause], worker: Worker,
     ages = worker.age.percentiles_ms()
     values |= dict(zip(("age_p50_ms", "age_p95_ms", "age_max_ms"), ages, strict=False))
     if worker.last is not None:
-        values |= {f"target.{target.name}": target.status.value for target in worker.last.targets}
+        values |= {f"target.{target.name}": target.status.value for target in worker.last}
         values |= {f"time.{stage.value}_ms": ns / 1e6 for stage, ns in (worker.last.times_ns or {}).items()}
     return HealthEntry(name, level, reason or "poses come out", values)
 

@@ -28,7 +28,7 @@ from imgu_ros.messages.results import (
 from imgu_ros.messages.status import held_up_message
 from imgu_ros.pose.map_pose import camera_in_map
 from imgu_ros.report.overlay import draw_result
-from imgu_ros.result import Result, TargetResult
+from imgu_ros.result import ReferenceResult, Result
 from imgu_ros.ros.map_to_root import TF_TOPIC, TF_TYPE, MapToRootPublisher
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.publishers import Publishers, Topic
@@ -149,7 +149,7 @@ class Outputs:
             self.offer(f"pyramid/level_{level}", partial(level_message, make_message, result, level))
         self._publish_compressed(result)
         self._publish_debug_image(result)
-        for position, target in enumerate(result.targets):
+        for position, target in enumerate(result):
             self._publish_target(result, target, [f"targets/{target.name}/"] + ([""] if position == 0 else []))
         self._problem = ""
         in_map = self._in_map(result)
@@ -258,7 +258,7 @@ class Outputs:
         self.offer("debug_image", lambda: picture_message(make_message, result, picture))
         self.offer("debug_image/compressed", lambda: self._compressed(result, picture))
 
-    def _publish_target(self, result: Result, target: TargetResult, prefixes: Sequence[str]) -> None:
+    def _publish_target(self, result: Result, target: ReferenceResult, prefixes: Sequence[str]) -> None:
         frame = self._parameters.frames.target_prefix + target.name
         for topic, output in TARGET_OUTPUTS.items():
             listened = [prefix + topic for prefix in prefixes if self.listened(prefix + topic)]
@@ -283,7 +283,7 @@ class Outputs:
             self._say(self._problem)
             return None
         if fused is not None and fused.disagreement > _CONTRADICTION:
-            names = ", ".join(target.name for target in result.targets if target.pose is not None)
+            names = ", ".join(target.name for target in result if target.pose is not None)
             # Once: of targets measured by hand nothing better may be had, and the covariance takes account of it.
             self._node.get_logger().warning(
                 f"targets.poses: {names} put the camera {fused.disagreement**0.5:.0f} times farther apart than their "

@@ -28,7 +28,7 @@ class SearchFailures:
     def add(self, result: Result, now_s: float) -> None:
         """Take what became of the targets in one more frame."""
         most = dict(self._most)
-        for target in result.targets:
+        for target in result:
             if target.status.found:
                 self._found_s = now_s
                 most.pop(target.name, None)

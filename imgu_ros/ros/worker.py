@@ -15,7 +15,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
-from imgu_ros.localizer import rejected_targets
+from imgu_ros.localizer import rejected
 from imgu_ros.localizer_builder import Built, build
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.reference.planar import Target, TargetImage
@@ -292,7 +292,7 @@ class Worker:
 
     def _rejected_result(self, header: Header, reason: str) -> Result:
         frame = Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, None)
-        return Result(frame, rejected_targets(self.targets, reason), reason=reason)
+        return rejected(frame, self.targets, reason)
 
 
 #: Stands in results for an image that could not be read.

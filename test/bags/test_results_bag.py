@@ -15,7 +15,7 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.image.development import develop
 from imgu_ros.replay.results_bag import ResultsBag
-from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -36,10 +36,10 @@ def test_the_camera_in_the_map(tmp_path: Path) -> None:
     with closing(ResultsBag(tmp_path / "results", parameters, ["a"], ["path"])) as bag:
         for n, status in enumerate((Status.DETECTED, Status.LOST, Status.TRACKED)):
             given = pose if status.found else None
-            target = TargetResult("a", 0, status, PoseStatus.METRIC if given else PoseStatus.NONE, pose=given)
+            target = ReferenceResult("a", 0, status, PoseStatus.METRIC if given else PoseStatus.NONE, pose=given)
             frame = Frame(image, (n + 1) * SECOND, "", None)
             developed = develop(image, parameters.raw, parameters.demosaic)
-            bag.write(Result(frame, (target,), developed=developed, times_ns={}), frame.stamp_ns)
+            bag.write(Result(frame, by_name((target,)), developed=developed, times_ns={}), frame.stamp_ns)
     with AnyReader([tmp_path / "results"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         found = [(c.topic, time, reader.deserialize(data, c.msgtype)) for c, time, data in reader.messages()]
     odometry = [(time, message) for topic, time, message in found if topic == "/map/odom"]

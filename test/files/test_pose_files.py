@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from imgu_ros.errors import FileError
 from imgu_ros.files.pose_files import AMBIGUOUS_COLUMNS, PoseFiles, seconds_text
 from imgu_ros.frame import Frame
-from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
@@ -23,8 +23,10 @@ POSE = Pose(QUARTER_TURN_ABOUT_Z, np.array([1.0, 2.0, 3.0]), np.diag([1.0, 2, 3,
 def result(pose_status: PoseStatus) -> Result:
     frame = Frame(RawImage(np.zeros((2, 2), np.uint8), PixelLayout(ColorModel.MONO)), 1_000_000_005, "cam,era", None)
     pose = POSE if pose_status is PoseStatus.METRIC else None
-    target = TargetResult("poster", 0, Status.DETECTED, pose_status, pose=pose, solutions=(POSE, POSE), ambiguity=0.9)
-    return Result(frame, (target,))
+    target = ReferenceResult(
+        "poster", 0, Status.DETECTED, pose_status, pose=pose, solutions=(POSE, POSE), ambiguity=0.9
+    )
+    return Result(frame, by_name((target,)))
 
 
 def test_metric_pose_is_inverted(tmp_path: Path) -> None:

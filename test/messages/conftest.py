@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.frame import Frame
 from imgu_ros.image.development import develop
-from imgu_ros.result import PoseStatus, Result, Stage, Status, TargetMatches, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -39,26 +39,26 @@ def result() -> Result:
         np.arange(6, dtype=np.int32),
     )
 
-    def matches(count: int) -> TargetMatches:
+    def matches(count: int) -> ReferenceMatches:
         rows = np.arange(count)
         xy = generator.uniform(0, 30, (2, count, 2))
-        return TargetMatches(Matches(rows, rows, rows / 8.0), xy[0], xy[1], rows % 2 == 0)
+        return ReferenceMatches(Matches(rows, rows, rows / 8.0), xy[0], xy[1], rows % 2 == 0)
 
     def homography(count: int) -> HomographyEstimate:
         H = generator.normal(size=(3, 3))
         return HomographyEstimate(H, generator.normal(size=(9, 9)), np.arange(count) > 1, 0.375, 10)
 
     outline = np.array([[1.5, 2.0], [20, 2], [20, 15], [1, 15]])
-    poster = TargetResult(
+    poster = ReferenceResult(
         "poster", 0, Status.TRACKED, PoseStatus.METRIC, "", matches(5), homography(5), outline, make_pose(0), (), 0.25
     )
-    box = TargetResult("box", 1, Status.LOST, reason="no consensus among 3 matches", matches=matches(3))
-    floor = TargetResult(
+    box = ReferenceResult("box", 1, Status.LOST, reason="no consensus among 3 matches", matches=matches(3))
+    floor = ReferenceResult(
         "floor", 2, Status.DETECTED, PoseStatus.NO_SIZE, matches=matches(4), homography=homography(4), outline=outline
     )
     return Result(
         frame=Frame(image, 10_250_000_000, "camera", None),
-        targets=(poster, box, floor),
+        references=by_name((poster, box, floor)),
         developed=develop(image, RawParameters(), DemosaicParameters()),
         pyramid=Pyramid((Level(mosaic.astype(np.float32), 1.0), Level(np.zeros((12, 16), np.uint8), 2.0))),
         keypoints=keypoints,

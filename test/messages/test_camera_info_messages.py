@@ -88,7 +88,7 @@ def require_outcome(make: Any, case: Any, chain: Localizer, texture: np.ndarray)
     chain.reset()
     result = chain.process(frame)
     assert result.reason == ""
-    (found,) = result.targets
+    (found,) = result
     assert found.status.found, found.reason
     assert found.homography is not None
     R, t = case.pose

@@ -25,7 +25,7 @@ from imgu_ros.messages.features import (
 )
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.point_cloud import point_cloud_message
-from imgu_ros.result import Status, TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Status
 from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.projective.homography import HomographyEstimate
@@ -45,22 +45,22 @@ def target_results(draw):
     for index in indices:
         count = draw(st.integers(1, 5))
         none = np.full(count, -1, np.intp)
-        matches = TargetMatches(
+        matches = ReferenceMatches(
             Matches(none, none, rows(draw, count, 1).ravel()),
             rows(draw, count, 2),
             rows(draw, count, 2),
             np.array(draw(st.lists(st.booleans(), min_size=count, max_size=count))),
         )
-        results.append(TargetResult(f"t{index}", index, Status.LOST, matches=matches))
+        results.append(ReferenceResult(f"t{index}", index, Status.LOST, matches=matches))
     return results
 
 
 @given(target_results())
 def test_matches_arrive_in_the_order_in_which_they_were_told(results):
     found = decode_target_matches(matches_message(make_message, HEADER, results))
-    assert list(found) == [result.index for result in results]
+    assert list(found) == [result.number for result in results]
     for result in results:
-        got, sent = found[result.index], result.matches
+        got, sent = found[result.number], result.matches
         np.testing.assert_array_equal(got.template_xy, sent.template_xy)
         np.testing.assert_array_equal(got.image_xy, sent.image_xy)
         np.testing.assert_array_equal(got.matches.distance, sent.matches.distance)
@@ -91,11 +91,11 @@ def test_homographies_arrive_as_they_were(seed):
         H = np.eye(3) + 0.1 * generator.normal(size=(3, 3))
         inliers = np.ones(int(generator.integers(4, 200)), bool)
         estimate = HomographyEstimate(H, generator.normal(size=(9, 9)), inliers, 0.5, 7)
-        results.append(TargetResult(f"t{index}", index, Status.DETECTED, homography=estimate))
+        results.append(ReferenceResult(f"t{index}", index, Status.DETECTED, homography=estimate))
         counts[index] = len(inliers)
     found = decode_estimates(homographies_message(make_message, HEADER, results, calibrated=True), counts)
     for result in results:
-        got, sent = found[result.index], result.homography
+        got, sent = found[result.number], result.homography
         np.testing.assert_array_equal(got.H, sent.H)
         np.testing.assert_array_equal(got.covariance, sent.covariance)
         assert (got.inliers.sum(), got.rms_px) == (sent.inliers.sum(), sent.rms_px)
@@ -109,7 +109,7 @@ def test_homographies_arrive_as_they_were(seed):
 def test_of_homographies_that_say_nothing_of_it_none_is_sharp():
     estimate = HomographyEstimate(np.eye(3), np.eye(9), np.ones(4, bool), 0.5, 7)
     results = [
-        TargetResult(f"t{index}", index, Status.DETECTED, homography=estimate, is_sharp=index == 1)
+        ReferenceResult(f"t{index}", index, Status.DETECTED, homography=estimate, is_sharp=index == 1)
         for index in range(3)
     ]
     message = homographies_message(make_message, HEADER, results, calibrated=True)

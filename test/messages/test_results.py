@@ -26,15 +26,15 @@ from imgu_ros.messages.results import (
     needs_keypoints,
     target_transforms,
 )
-from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.vision.formation.layout import ColorModel
 
 HEADER = Header(10_250_000_000, "camera")
 
 
 def rejected(result: Result) -> Result:
-    targets = tuple(TargetResult(t.name, t.index, Status.REJECTED, reason="too dark") for t in result.targets)
-    return Result(result.frame, targets, reason="too dark")
+    targets = tuple(ReferenceResult(t.name, t.number, Status.REJECTED, reason="too dark") for t in result)
+    return Result(result.frame, by_name(targets), reason="too dark")
 
 
 def test_every_frame_output_carries_the_header_and_its_type(make, result):
@@ -46,11 +46,11 @@ def test_every_frame_output_carries_the_header_and_its_type(make, result):
 
 def test_every_target_output_has_its_type(make, result):
     for topic, output in TARGET_OUTPUTS.items():
-        message = output.message(make, result, result.targets[0], "poster_frame")
+        message = output.message(make, result, result.first, "poster_frame")
         assert type(message) is type(make(output.type_name))
         assert decode_header(message).stamp_ns == HEADER.stamp_ns
         assert decode_header(message).frame_id == ("poster_frame" if topic == "odom" else "camera")
-        assert output.message(make, result, result.targets[1], "box_frame") is None, "a lost target has no geometry"
+        assert output.message(make, result, list(result)[1], "box_frame") is None, "a lost target has no geometry"
 
 
 def test_a_rejected_frame_has_a_status_alone(make, result):
@@ -132,7 +132,7 @@ def test_matches_of_all_targets(make, result):
     assert [f.name for f in message.fields] == [
         "target", "template_x", "template_y", "image_x", "image_y", "distance", "inlier",
     ]  # fmt: skip
-    first = result.targets[0].matches
+    first = result.first.matches
     row = struct.pack("<i5fB3x", 0, *first.template_xy[1], *first.image_xy[1], 0.125, 0)
     assert bytes(message.data)[28:56] == row
     table = decode_matches(message)
@@ -147,15 +147,15 @@ def test_homographies_of_targets_that_were_seen(make, result):
         ("target", 0, 5, 1), ("h", 8, 8, 9), ("covariance", 80, 8, 81), ("n_inliers", 728, 5, 1), ("rms_px", 732, 7, 1),
         ("calibrated", 736, 2, 1), ("sharp", 737, 2, 1),
     ]  # fmt: skip
-    first = result.targets[0].homography
+    first = result.first.homography
     row = struct.pack("<i4x90dif", 0, *first.H.ravel(), *first.covariance.ravel(), 3, 0.375)
     assert bytes(message.data)[:736] == row
     table = decode_homographies(message)
     assert table["target"].tolist() == [0, 2]
     assert table["n_inliers"].tolist() == [3, 2]
     assert table["calibrated"].tolist() == [0, 0]
-    np.testing.assert_array_equal(table["h"][1].reshape(3, 3), result.targets[2].homography.H)
-    nothing = replace(result, targets=(result.targets[1],))
+    np.testing.assert_array_equal(table["h"][1].reshape(3, 3), list(result)[2].homography.H)
+    nothing = replace(result, references=by_name((list(result)[1],)))
     assert len(decode_homographies(FRAME_OUTPUTS["homography"].message(make, nothing))) == 0
 
 
@@ -199,7 +199,7 @@ def test_status(make, result):
     ],
 )
 def test_status_levels(make, result, status, pose_status, level):
-    changed = replace(result, targets=(TargetResult("poster", 0, status, pose_status),))
+    changed = replace(result, references=by_name((ReferenceResult("poster", 0, status, pose_status),)))
     (entry,) = FRAME_OUTPUTS["status"].message(make, changed).status
     assert (entry.level if isinstance(entry.level, int) else entry.level[0]) == level
 
@@ -207,14 +207,14 @@ def test_status_levels(make, result, status, pose_status, level):
 def test_tf_of_targets(result):
     (sent,) = target_transforms(result, "target/")
     assert (sent.stamp_ns, sent.parent, sent.child) == (HEADER.stamp_ns, "camera", "target/poster")
-    np.testing.assert_array_equal(sent.parent_from_child.matrix, result.targets[0].pose.transform.matrix)
+    np.testing.assert_array_equal(sent.parent_from_child.matrix, result.first.pose.transform.matrix)
     assert target_transforms(rejected(result), "") == []
 
 
 def test_odometry_has_the_inverse_pose(make, result):
-    message = TARGET_OUTPUTS["odom"].message(make, result, result.targets[0], "poster")
+    message = TARGET_OUTPUTS["odom"].message(make, result, result.first, "poster")
     position = message.pose.pose.position
-    np.testing.assert_allclose([position.x, position.y, position.z], result.targets[0].pose.inverse().t)
+    np.testing.assert_allclose([position.x, position.y, position.z], result.first.pose.inverse().t)
 
 
 def test_only_keypoints_and_pyramid_need_detection_in_every_frame() -> None:

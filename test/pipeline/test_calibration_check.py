@@ -15,7 +15,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.reference.planar import TargetImage, prepare_targets
-from imgu_ros.result import CalibrationFinding, PoseStatus, Status, TargetResult
+from imgu_ros.result import CalibrationFinding, PoseStatus, ReferenceResult, Status
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import arrange_scene
@@ -51,12 +51,14 @@ def pose_at(index: int, tilt_deg: float) -> RigidTransform:
     return RigidTransform(R, np.array([0.1 * math.sin(0.07 * index), 0.05 * math.cos(0.05 * index), 0.9]))
 
 
-def seen(truth: Camera, given: Camera, pose: RigidTransform, rng: np.random.Generator, index: int = 0) -> TargetResult:
+def seen(
+    truth: Camera, given: Camera, pose: RigidTransform, rng: np.random.Generator, index: int = 0
+) -> ReferenceResult:
     """Return what becomes of a target whose points are measured with noise."""
     plane = rng.uniform(-1, 1, (120, 2)) * [0.25, 0.2]
     both = truth.project(np.vstack((plane, CORNERS)) @ pose.R[:, :2].T + pose.t)
     poses = planar_poses(plane, both[:-4] + rng.normal(0, NOISE_PX, plane.shape), given)
-    return TargetResult(
+    return ReferenceResult(
         f"target_{index}",
         index,
         Status.TRACKED,
@@ -68,7 +70,7 @@ def seen(truth: Camera, given: Camera, pose: RigidTransform, rng: np.random.Gene
     )
 
 
-def squared(target: TargetResult, truth: RigidTransform) -> float:
+def squared(target: ReferenceResult, truth: RigidTransform) -> float:
     assert target.pose is not None
     error = np.concatenate((truth.t - target.pose.t, log_so3(truth.R @ target.pose.R.T)))
     return float(error @ np.linalg.solve(target.pose.covariance, error))
@@ -174,7 +176,7 @@ def test_targets_of_one_frame_share_the_calibrations_error() -> None:
 
 def test_without_a_camera_or_a_pose_nothing_is_said() -> None:
     check = CalibrationCheck()
-    lost = TargetResult("a", 0, Status.LOST)
+    lost = ReferenceResult("a", 0, Status.LOST)
     assert check.examined(None, [lost]) == (lost,)
     assert check.examined(PINHOLE, [lost]) == (lost,)
     assert check.finding is None
@@ -216,7 +218,7 @@ def test_the_chain_says_it_of_frames(
     assert last.camera_remarks == ((last.calibration.warning,) if error else ())
     if error:
         assert last.calibration.focal_percent == pytest.approx(100 * error, abs=0.4)
-    errors = [squared(result.targets[0], truth) for result, (_, truth) in zip(results, frames, strict=True)]
+    errors = [squared(result.first, truth) for result, (_, truth) in zip(results, frames, strict=True)]
     assert (np.array(errors) < 12.59).mean() >= 0.85
     # Stamps that jump back belong to another recording: what was seen is forgotten.
     again = replace(results[0].frame, stamp_ns=-5_000_000_000)
@@ -263,5 +265,5 @@ def test_a_new_calibration_is_not_blamed_while_nothing_is_in_view() -> None:
     for index in range(6):
         check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
     assert check.finding is not None and check.finding.warning
-    check.examined(PINHOLE, [TargetResult("target_0", 0, Status.LOST)])
+    check.examined(PINHOLE, [ReferenceResult("target_0", 0, Status.LOST)])
     assert check.finding is None

@@ -29,8 +29,8 @@ def test_every_method_finds_every_frame(
             pixels = frame.image.pixels.astype(np.uint16) * 257
             frame = replace(frame, image=replace(frame.image, pixels=pixels))
         result = chain.process(frame)
-        homography = result.targets[0].homography
-        assert homography is not None, result.targets[0].reason
+        homography = result.first.homography
+        assert homography is not None, result.first.reason
         size = result.developed.grey.shape[1::-1]
         assert corner_error(homography.H, simulated.truths[0].H, targets[0].size, size, None) < 0.3
         color = demosaic(frame.image.pixels, frame.image.layout.pattern, method)

@@ -48,10 +48,10 @@ def test_two_of_ten(
     )
     for simulated in two_target_frames[::2]:
         result = chain.process(simulated.frame)
-        assert [t.name for t in result.targets] == [t.name for t in many]
-        found = [i for i, t in enumerate(result.targets) if t.status.found]
+        assert [t.name for t in result] == [t.name for t in many]
+        found = [i for i, t in enumerate(result) if t.status.found]
         assert found == [4, 8]
-        not_sought = [t for t in result.targets if t.status is Status.LOST]
+        not_sought = [t for t in result if t.status is Status.LOST]
         assert all(t.reason for t in not_sought)
     # Each of the three looks may fail three times before the less likely ones are left.
     assert len(looked_for) <= 3 * (2 + 3 * 3)
@@ -59,8 +59,8 @@ def test_two_of_ten(
 
 def test_few_targets_are_all_looked_for(two_target_frames: tuple[SimulatedFrame, ...], targets: tuple) -> None:
     results = [Localizer(parameters_from(ALONE), targets).process(two_target_frames[0].frame) for _ in range(2)]
-    assert [t.status for t in results[0].targets] == [Status.DETECTED] * 2
-    for a, b in zip(results[0].targets, results[1].targets, strict=True):
+    assert [t.status for t in results[0]] == [Status.DETECTED] * 2
+    for a, b in zip(results[0], results[1], strict=True):
         np.testing.assert_array_equal(a.homography.H, b.homography.H)
 
 
@@ -72,7 +72,7 @@ def test_a_second_look_finds_what_a_first_look_does_not(condition: str) -> None:
         parameters = parameters_from({**ALONE, "search.thorough": thorough})
         chain = Localizer(parameters, prepare_targets(known_targets(trial), parameters))
         chain.prepare()
-        counts.append(sum(chain.process(f.frame).targets[0].status.found for f in trial_frames(trial)))
+        counts.append(sum(chain.process(f.frame).first.status.found for f in trial_frames(trial)))
     assert counts[0] == 3 >= counts[1]
 
 
@@ -93,7 +93,7 @@ def test_a_target_that_is_near_needs_no_thorough_search(reduced: int, monkeypatc
     full_from_reduced = np.array([[reduced, 0, shift], [0, reduced, shift], [0, 0, 1]])
     for simulated in trial_frames(trial):
         looks.clear()
-        result = chain.process(simulated.frame).targets[0]
+        result = chain.process(simulated.frame).first
         assert result.status is Status.DETECTED, result.reason
         assert looks == [SearchPass.FIRST, SearchPass.CLOSE]
         true = simulated.truths[0].H @ full_from_reduced
@@ -112,14 +112,14 @@ def test_what_was_found_is_not_looked_at_again(targets: tuple, two_target_frames
     simulated = two_target_frames[0]
     parameters = parameters_from(ALONE)
     result = Localizer(parameters, targets[:1]).process(simulated.frame, with_keypoints=True)
-    outline = result.targets[0].outline
+    outline = result.first.outline
     pictures = GreyPyramid(develop(simulated.frame.image, parameters.raw, parameters.demosaic))
     features = find_features(pictures, parameters, StageClock())
     view = seeking.View(simulated.frame, pictures, features, [outline])
     again = list(
         seeking.ReferenceDetector(targets, parameters).seek(view, [0, 1], StageClock(), although_tracked=False)
     )
-    assert {r.index: r.status.found for r in again} == {0: False, 1: True}
+    assert {r.number: r.status.found for r in again} == {0: False, 1: True}
 
 
 @pytest.mark.parametrize("size", [(640, 480), (1280, 720), (1281, 723), (1920, 1080), (1923, 1085), (3001, 2000)])

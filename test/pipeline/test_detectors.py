@@ -25,7 +25,7 @@ def test_the_target_is_found_with_every_detector(choice, target_images, one_targ
     chain = Localizer(parameters, targets)
     for simulated in one_target_frames[:1]:
         result = chain.process(simulated.frame, with_keypoints=True)
-        (found,) = result.targets
+        (found,) = result
         assert found.homography is not None, found.reason
         size = result.developed.grey.shape[1::-1]
         assert corner_error(found.homography.H, simulated.truths[0].H, targets[0].size, size) < 0.3

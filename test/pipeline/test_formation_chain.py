@@ -46,7 +46,7 @@ def with_pixels(frames: Frames, pixels: list[NDArray[np.generic]], layout: Pixel
 def largest_error(frames: Frames, results: list[Result]) -> float:
     errors = []
     for simulated, result in zip(frames, results, strict=True):
-        found = result.targets[0]
+        found = result.first
         assert found.status in FOUND, found.reason
         assert found.homography is not None
         size = result.developed.grey.shape[1::-1]
@@ -86,7 +86,7 @@ def test_spectral_angle_sees_through_uneven_light(color_frames: Frames, targets:
     frames = with_pixels(color_frames, cubes, PixelLayout(ColorModel.BANDS))
     by_angle = {"raw.band_mode": "spectral_angle", "raw.reference_spectrum": [1.0, 0.0]}
     assert largest_error(frames, results_of(frames, targets, by_angle)) < 0.6
-    assert results_of(frames, targets, {"raw.bands": [0]})[0].targets[0].status not in FOUND
+    assert results_of(frames, targets, {"raw.bands": [0]})[0].first.status not in FOUND
 
 
 @pytest.mark.parametrize(
@@ -106,8 +106,8 @@ def test_frames_that_do_not_fit_the_band_parameters_are_rejected(
     cubes: list[NDArray[np.generic]] = [f.frame.image.pixels for f in color_frames]
     frames = with_pixels(color_frames, cubes, PixelLayout(ColorModel.BANDS))
     for result in results_of(frames, targets, values):
-        assert result.targets[0].status is Status.REJECTED
-        assert result.targets[0].reason.startswith(f"the frame cannot be used ({reason}")
+        assert result.first.status is Status.REJECTED
+        assert result.first.reason.startswith(f"the frame cannot be used ({reason}")
 
 
 def test_thermal_frames_need_no_levels(target_images: tuple[TargetImage, ...], targets: tuple[Target, ...]) -> None:

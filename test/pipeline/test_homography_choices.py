@@ -36,7 +36,7 @@ def test_found_to_a_few_pixels(
     options = {f"homography.{name}": value for name, value in choice.items()}
     chain = Localizer(parameters_from({"tracking.enabled": False, "refinement.enabled": False, **options}), targets[:1])
     for simulated in one_target_frames[:2]:
-        found = chain.process(simulated.frame).targets[0]
+        found = chain.process(simulated.frame).first
         assert found.status is Status.DETECTED, found.reason
         corners = targets[0].outline_template
         error = transform(found.homography.H, corners) - transform(simulated.truths[0].H, corners)

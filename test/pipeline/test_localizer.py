@@ -31,7 +31,7 @@ def errors(frames: Frames, results: list[Result], targets: Targets) -> list[floa
     out = []
     for simulated, result in zip(frames, results, strict=True):
         for truth in simulated.truths:
-            found = next(t for t in result.targets if t.name == truth.target)
+            found = next(t for t in result if t.name == truth.target)
             assert found.homography is not None, found.reason
             size = result.developed.grey.shape[1::-1]
             target = next(t for t in targets if t.name == truth.target)
@@ -48,11 +48,11 @@ def test_every_frame_is_found_to_a_tenth_of_a_pixel(
     chain = Localizer(parameters_from({"tracking.enabled": tracking}), targets[:1])
     results = [chain.process(f.frame) for f in one_target_frames]
     expected = [Status.DETECTED] + [Status.TRACKED if tracking else Status.DETECTED] * 11
-    assert [r.targets[0].status for r in results] == expected
+    assert [r.first.status for r in results] == expected
     assert np.median(errors(one_target_frames, results, targets)) < 0.1
     assert max(errors(one_target_frames, results, targets)) < 0.3
     for simulated, result in zip(one_target_frames, results, strict=True):
-        pose = result.targets[0].pose
+        pose = result.first.pose
         truth = simulated.truths[0].pose
         assert pose is not None
         assert np.linalg.norm(pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
@@ -72,7 +72,7 @@ def test_covariance_agrees_with_the_errors(target_images: tuple[TargetImage, ...
     squared = []
     # The whole motion in few frames: their errors have little to do with each other.
     for simulated in simulate_sequence(Simulation(width=640, height=480, frames=20, seed=3), target_images[:1]):
-        pose, truth = chain.process(simulated.frame).targets[0].pose, simulated.truths[0].pose
+        pose, truth = chain.process(simulated.frame).first.pose, simulated.truths[0].pose
         d = np.r_[truth.t - pose.t, log_so3(truth.R @ pose.R.T)]
         squared.append(d @ np.linalg.solve(pose.covariance, d))
     assert 3.5 < np.mean(squared) < 9
@@ -81,7 +81,7 @@ def test_covariance_agrees_with_the_errors(target_images: tuple[TargetImage, ...
 def test_several_targets(two_target_frames: Frames, targets: Targets) -> None:
     chain = Localizer(parameters_from({}), targets)
     results = [chain.process(f.frame) for f in two_target_frames]
-    assert all([t.name for t in r.targets] == [t.name for t in targets] for r in results)
+    assert all([t.name for t in r] == [t.name for t in targets] for r in results)
     assert max(errors(two_target_frames, results, targets)) < 0.5
 
 
@@ -111,14 +111,14 @@ def test_lenses_are_respected(target_images: tuple[TargetImage, ...], targets: T
     assert max(errors(frames, results, targets)) < 0.3
     for simulated, result in zip(frames, results, strict=True):
         truth = simulated.truths[0].pose
-        assert np.linalg.norm(result.targets[0].pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
+        assert np.linalg.norm(result.first.pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
 
 
 def test_same_frames_same_numbers(one_target_frames: Frames, targets: Targets) -> None:
     runs = []
     for _ in range(2):
         chain = Localizer(parameters_from({}), targets[:1])
-        runs.append([chain.process(f.frame).targets[0] for f in one_target_frames])
+        runs.append([chain.process(f.frame).first for f in one_target_frames])
     for a, b in zip(*runs, strict=True):
         assert np.array_equal(a.homography.H, b.homography.H)
         assert np.array_equal(a.pose.covariance, b.pose.covariance)
@@ -126,10 +126,10 @@ def test_same_frames_same_numbers(one_target_frames: Frames, targets: Targets) -
 
 def test_a_skipped_frame_changes_no_other_frames_detection(one_target_frames: Frames, targets: Targets) -> None:
     p = parameters_from({"tracking.enabled": False})
-    whole = [Localizer(p, targets[:1]).process(f.frame).targets[0].homography.H for f in one_target_frames[:4]]
+    whole = [Localizer(p, targets[:1]).process(f.frame).first.homography.H for f in one_target_frames[:4]]
     chain = Localizer(p, targets[:1])
-    assert np.array_equal(chain.process(one_target_frames[3].frame).targets[0].homography.H, whole[3])
-    assert np.array_equal(chain.process(one_target_frames[1].frame).targets[0].homography.H, whole[1])
+    assert np.array_equal(chain.process(one_target_frames[3].frame).first.homography.H, whole[3])
+    assert np.array_equal(chain.process(one_target_frames[1].frame).first.homography.H, whole[1])
 
 
 def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_frames: Frames, targets: Targets) -> None:
@@ -137,13 +137,13 @@ def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_fr
     first = one_target_frames[0].frame
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
     for empty in (noise, np.zeros_like(noise), np.full_like(noise, 255)):
-        assert chain.process(first).targets[0].status.found
+        assert chain.process(first).first.status.found
         lost = chain.process(replace(first, image=RawImage(empty, first.image.layout))).targets[0]
         assert lost.status is Status.LOST
         assert lost.reason
         assert lost.homography is None
         assert lost.pose is None
-        assert chain.process(one_target_frames[1].frame).targets[0].status is Status.DETECTED
+        assert chain.process(one_target_frames[1].frame).first.status is Status.DETECTED
     assert lost.reason == "not in view, too small, blurred or covered (0 matches, 8 needed)"  # of the blank frame
 
 
@@ -151,20 +151,20 @@ def test_stamps_that_jump_back_begin_anew(one_target_frames: Frames, targets: Ta
     """A recording played in a loop gives the same numbers in every round; two frames swapped are no new recording."""
     chain = Localizer(Parameters(), targets[:1])
     slow = [replace(f.frame, stamp_ns=i * 400_000_000) for i, f in enumerate(one_target_frames[:6])]
-    rounds = [[chain.process(frame).targets[0] for frame in slow] for _ in range(2)]
+    rounds = [[chain.process(frame).first for frame in slow] for _ in range(2)]
     assert [t.status for t in rounds[0]] == [Status.DETECTED] + [Status.TRACKED] * 5
     for first, again in zip(*rounds, strict=True):
         assert again.status is first.status
         assert np.array_equal(again.homography.H, first.homography.H)
     chain.process(replace(slow[5], stamp_ns=slow[5].stamp_ns + 1))
-    assert chain.process(slow[5]).targets[0].status is Status.TRACKED
+    assert chain.process(slow[5]).first.status is Status.TRACKED
 
 
 def test_a_jump_is_detected_again_in_the_same_frame(one_target_frames: Frames, targets: Targets) -> None:
     chain = Localizer(parameters_from({}), targets[:1])
     chain.process(one_target_frames[0].frame)
     result = chain.process(one_target_frames[11].frame)
-    assert result.targets[0].status.found
+    assert result.first.status.found
     assert errors(one_target_frames[11:], [result], targets)[0] < 0.3
 
 
@@ -172,11 +172,11 @@ def test_uncalibrated_and_unsized(
     one_target_frames: Frames, targets: Targets, target_images: tuple[TargetImage, ...]
 ) -> None:
     frame = one_target_frames[0].frame
-    result = Localizer(parameters_from({}), targets[:1]).process(replace(frame, camera=None)).targets[0]
+    result = Localizer(parameters_from({}), targets[:1]).process(replace(frame, camera=None)).first
     assert result.status is Status.DETECTED
     assert (result.pose, result.pose_status) == (None, PoseStatus.UNCALIBRATED)
     unsized = prepare_targets([replace(target_images[0], width_m=0.0)], parameters_from({}))
-    result = Localizer(parameters_from({}), unsized).process(frame).targets[0]
+    result = Localizer(parameters_from({}), unsized).process(frame).first
     assert (result.pose, result.pose_status) == (None, PoseStatus.NO_SIZE)
 
 
@@ -184,9 +184,9 @@ def test_pose_scales_with_the_width(
     one_target_frames: Frames, targets: Targets, target_images: tuple[TargetImage, ...]
 ) -> None:
     frame = one_target_frames[0].frame
-    small = Localizer(parameters_from({}), targets[:1]).process(frame).targets[0].pose
+    small = Localizer(parameters_from({}), targets[:1]).process(frame).first.pose
     images = [replace(target_images[0], width_m=2 * target_images[0].width_m)]
-    large = Localizer(parameters_from({}), prepare_targets(images, parameters_from({}))).process(frame).targets[0].pose
+    large = Localizer(parameters_from({}), prepare_targets(images, parameters_from({}))).process(frame).first.pose
     assert_allclose(large.t, 2 * small.t, rtol=1e-6)
     assert_allclose(large.R, small.R, atol=1e-6)
 
@@ -197,7 +197,7 @@ def test_a_frame_that_cannot_be_worked_on_is_rejected(targets: Targets) -> None:
     p = parameters_from({"raw.bands": [7]})
     result = Localizer(p, targets).process(Frame(bands, 5, "camera", camera))
     assert "raw.bands" in result.reason
-    assert [t.status for t in result.targets] == [Status.REJECTED] * 2
+    assert [t.status for t in result] == [Status.REJECTED] * 2
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (1, 640), (31, 31), (480, 40)])
@@ -205,8 +205,8 @@ def test_tiny_frames_are_lost_not_fatal(targets: Targets, shape: tuple[int, int]
     pixels = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
     for layout in (PixelLayout(ColorModel.MONO), PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)):
         result = Localizer(parameters_from({}), targets[:1]).process(Frame(RawImage(pixels, layout), 0, "c", None))
-        assert result.targets[0].status in (Status.LOST, Status.REJECTED)
-        assert result.targets[0].reason
+        assert result.first.status in (Status.LOST, Status.REJECTED)
+        assert result.first.reason
 
 
 def test_keypoints_on_demand(one_target_frames: Frames, targets: Targets) -> None:
@@ -214,7 +214,7 @@ def test_keypoints_on_demand(one_target_frames: Frames, targets: Targets) -> Non
     chain.process(one_target_frames[0].frame)
     assert chain.process(one_target_frames[1].frame).keypoints is None
     result = chain.process(one_target_frames[2].frame, with_keypoints=True)
-    assert result.targets[0].status is Status.TRACKED
+    assert result.first.status is Status.TRACKED
     assert len(result.keypoints) == len(result.descriptors) > 100
 
 
@@ -229,27 +229,27 @@ def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
     images = default_targets(1)
     chain = Localizer(Parameters(), prepare_targets(images, Parameters()))
     frames = list(islice(simulate_sequence(Simulation(width=640, height=480, frames=20), images), 5))
-    statuses = [chain.process(simulated.frame).targets[0].status for simulated in frames]
+    statuses = [chain.process(simulated.frame).first.status for simulated in frames]
     assert statuses == [Status.DETECTED] * 2 + [Status.TRACKED] * 3
     # Also when no frame has a stamp: they count as evenly spaced.
     chain.reset()
-    unstamped = [chain.process(replace(s.frame, stamp_ns=0)).targets[0].status for s in frames]
+    unstamped = [chain.process(replace(s.frame, stamp_ns=0)).first.status for s in frames]
     assert unstamped == statuses
     # After a pause nothing is known of the motion any more.
     late = [replace(simulated.frame, stamp_ns=simulated.frame.stamp_ns + 10**10) for simulated in frames]
     chain.reset()
-    assert chain.process(frames[0].frame).targets[0].status is Status.DETECTED
-    assert chain.process(late[1]).targets[0].status is Status.DETECTED
-    assert chain.process(late[2]).targets[0].status is Status.DETECTED
-    assert chain.process(late[3]).targets[0].status is Status.TRACKED
+    assert chain.process(frames[0].frame).first.status is Status.DETECTED
+    assert chain.process(late[1]).first.status is Status.DETECTED
+    assert chain.process(late[2]).first.status is Status.DETECTED
+    assert chain.process(late[3]).first.status is Status.TRACKED
 
 
 def test_frames_without_stamps_are_tracked(one_target_frames: Frames, targets: Targets) -> None:
     """They count as evenly spaced: a camera that turns fast is followed all the same, as exactly."""
     stamped, none = Localizer(Parameters(), targets), Localizer(Parameters(), targets)
     for index, simulated in enumerate(one_target_frames[:8]):
-        expected = stamped.process(simulated.frame).targets[0]
-        result = none.process(replace(simulated.frame, stamp_ns=0)).targets[0]
+        expected = stamped.process(simulated.frame).first
+        result = none.process(replace(simulated.frame, stamp_ns=0)).first
         assert result.status is (Status.TRACKED if index else Status.DETECTED)
         assert expected.homography is not None and result.homography is not None
         size = simulated.frame.image.pixels.shape[1::-1]
@@ -260,7 +260,7 @@ def test_one_frame_without_a_stamp_costs_no_track(one_target_frames: Frames, tar
     """As some simulators send it now and then."""
     chain = Localizer(Parameters(), targets[:1])
     frames = [replace(s.frame, stamp_ns=0 if i == 4 else s.frame.stamp_ns) for i, s in enumerate(one_target_frames)]
-    statuses = [chain.process(frame).targets[0].status for frame in frames]
+    statuses = [chain.process(frame).first.status for frame in frames]
     expected = [Status.TRACKED] * len(frames)
     expected[0] = expected[4] = Status.DETECTED
     assert statuses == expected
@@ -292,7 +292,7 @@ def test_two_cameras_in_turn_are_each_tracked(one_target_frames: Frames, targets
     chain, alone = Localizer(Parameters(), targets[:1]), [Localizer(Parameters(), targets[:1]) for _ in range(2)]
     for frames in zip(left, right, strict=True):
         for frame, single in zip(frames, alone, strict=True):
-            got, expected = chain.process(frame).targets[0], single.process(frame).targets[0]
+            got, expected = chain.process(frame).first, single.process(frame).first
             assert got.status is expected.status
             assert got.homography is not None and expected.homography is not None
             assert_allclose(got.homography.H, expected.homography.H, rtol=0, atol=0)

@@ -14,7 +14,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.map_pose import camera_in_map
 from imgu_ros.reference.planar import prepare_targets
-from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
@@ -49,9 +49,9 @@ def seen(seed: int, map_from_target: tuple[RigidTransform, ...] = MAP_FROM_TARGE
         points = np.column_stack((grid, np.zeros(len(grid)))) @ camera_from_target.R.T + camera_from_target.t
         pixels = camera.project(points) + generator.normal(0, NOISE_PX, grid.shape)
         pose = planar_poses(grid, pixels, camera).solutions[0]
-        targets.append(TargetResult(f"t{index}", index, Status.DETECTED, PoseStatus.METRIC, pose=pose))
+        targets.append(ReferenceResult(f"t{index}", index, Status.DETECTED, PoseStatus.METRIC, pose=pose))
     frame = Frame(RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO)), 0, "camera", None)
-    return Result(frame, tuple(targets))
+    return Result(frame, by_name(tuple(targets)))
 
 
 def errors(result: Result) -> tuple[float, float]:
@@ -65,8 +65,8 @@ def errors(result: Result) -> tuple[float, float]:
 
 
 def only(result: Result, *kept: int) -> Result:
-    targets = tuple(t if t.index in kept else TargetResult(t.name, t.index, Status.LOST) for t in result.targets)
-    return replace(result, targets=targets)
+    targets = tuple(t if t.number in kept else ReferenceResult(t.name, t.number, Status.LOST) for t in result)
+    return replace(result, references=by_name(targets))
 
 
 def test_more_planes_give_a_better_pose_and_an_honest_covariance() -> None:
@@ -125,7 +125,7 @@ def test_the_chain_on_simulated_frames_of_two_targets() -> None:
         first, second = (truth.pose for truth in simulated.truths)
         # The first target is the map.
         places = (RigidTransform(np.eye(3), np.zeros(3)), first.inverse().after(second))
-        if any(target.pose is None for target in result.targets):
+        if any(target.pose is None for target in result):
             continue
         truth = first.inverse()
 

@@ -60,7 +60,7 @@ def test_every_choice_finds_the_target(
 ) -> None:
     parameters = parameters_from(OFF | values)
     chain = Localizer(parameters, prepare_targets(target_images[:1], parameters))
-    result = chain.process(upright_frame.frame).targets[0]
+    result = chain.process(upright_frame.frame).first
     assert result.status is Status.DETECTED and result.homography is not None
     outline = chain.targets[0].outline_template
     assert corner_error(result.homography.H, upright_frame.truths[0].H, outline) < 2.0
@@ -71,7 +71,7 @@ def test_ssd_finds_a_target_of_unchanged_brightness(target_images: tuple[TargetI
     parameters = parameters_from(OFF | {"descriptor.kind": "patch", "matching.metric": "ssd"})
     targets = prepare_targets(target_images[:1], parameters)
     frame = Frame(RawImage(targets[0].grey, PixelLayout(ColorModel.MONO)), 0, "camera", None)
-    result = Localizer(parameters, targets).process(frame).targets[0]
+    result = Localizer(parameters, targets).process(frame).first
     assert result.homography is not None
     assert corner_error(result.homography.H, np.eye(3), targets[0].outline_template) < 0.5
 
@@ -91,7 +91,7 @@ def test_guided_matching_brings_more_inliers(
         for p in (parameters_from(OFF | {"matching.guided": value}) for value in (False, True))
     )
     for simulated in one_target_frames[::4]:
-        a, b = (chain.process(simulated.frame).targets[0] for chain in (plain, more))
+        a, b = (chain.process(simulated.frame).first for chain in (plain, more))
         assert a.matches is not None and b.matches is not None and b.homography is not None
         assert b.matches.inliers.sum() > 1.3 * a.matches.inliers.sum()
         assert len(b.matches.inliers) == len(b.matches.matches) == len(b.matches.template_xy)
@@ -108,7 +108,7 @@ def test_guided_matching_that_brings_no_more_changes_nothing(
     target = prepare_targets(target_images[:1], parameters)[0]
     chain = Localizer(parameters, [target])
     result = chain.process(upright_frame.frame, with_keypoints=True)
-    found = result.targets[0]
+    found = result.first
     assert found.matches is not None and found.homography is not None
     assert result.keypoints is not None and result.descriptors is not None
     nowhere = replace(result.keypoints, xy=result.keypoints.xy + 1e5)

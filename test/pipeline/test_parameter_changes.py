@@ -113,7 +113,7 @@ def prepared(images: tuple[TargetImage, ...]) -> Built:
 def tracking(prepared: Built, frames: tuple[Frame, ...]) -> Built:
     """A chain that has seen four frames, and all of whose parts are made."""
     prepared.chain.reset()
-    statuses = [prepared.chain.process(frame).targets[0].status for frame in frames[:4]]
+    statuses = [prepared.chain.process(frame).first.status for frame in frames[:4]]
     assert statuses == [Status.DETECTED, *[Status.TRACKED] * 3]
     return prepared
 
@@ -139,8 +139,8 @@ def made(tracking: Built, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 def corners(result: Result, width: int, height: int) -> np.ndarray:
     """Return where the target's outer corners are, raw px."""
-    homography = result.targets[0].homography
-    assert homography is not None, result.targets[0].reason
+    homography = result.first.homography
+    assert homography is not None, result.first.reason
     x, y, w = homography.H @ np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]], float)
     return np.column_stack((x / w, y / w))
 
@@ -157,7 +157,7 @@ def test_a_change_makes_anew_what_depends_on_it_and_keeps_the_track(
     depends = DEPENDS.get(name, set())
     assert made["descriptions"] == sum({FRONT: 1, CLOSE: 1, THOROUGH: 5}.get(part, 0) for part in depends)
     assert {part for part in (PYRAMIDS, CORNERS, PATCHES) if made[part]} == depends - DESCRIBED
-    first = went_on[0].targets[0].status
+    first = went_on[0].first.status
     assert first is (Status.DETECTED if name == "tracking.enabled" else Status.TRACKED)
 
     fresh = Localizer(parameters, targets.prepare_targets(images, parameters))
@@ -171,7 +171,7 @@ def test_a_change_makes_anew_what_depends_on_it_and_keeps_the_track(
     changed.chain.reset()
     fresh.reset()
     for frame in frames[6:]:
-        mine, other = (chain.process(frame).targets[0] for chain in (changed.chain, fresh))
+        mine, other = (chain.process(frame).first for chain in (changed.chain, fresh))
         assert mine.status is other.status
         assert mine.homography is not None and other.homography is not None
         assert_array_equal(mine.homography.H, other.homography.H)
@@ -186,22 +186,22 @@ def test_targets_come_and_go_and_the_others_stay_tracked(
     both.chain.continue_from(tracking.chain)
     assert made["descriptions"] == 7
     result = both.chain.process(frames[4])
-    assert [target.status for target in result.targets] == [Status.LOST, Status.TRACKED]
+    assert [target.status for target in result] == [Status.LOST, Status.TRACKED]
     alone = build(images, BASE, both)
     alone.chain.continue_from(both.chain)
     assert made["descriptions"] == 7
-    assert alone.chain.process(frames[5]).targets[0].status is Status.TRACKED
+    assert alone.chain.process(frames[5]).first.status is Status.TRACKED
     # As `~/reload` does: read again, described again, and the same picture.
     again = TargetImage("poster", images[0].pixels.copy(), 0.7)
     read_again = build([again], BASE, alone)
     read_again.chain.continue_from(alone.chain)
     assert made["descriptions"] == 14
-    assert read_again.chain.process(frames[6]).targets[0].status is Status.TRACKED
+    assert read_again.chain.process(frames[6]).first.status is Status.TRACKED
     # Another picture under the same name is another target.
     turned = replace(images[0], pixels=np.ascontiguousarray(images[0].pixels[::-1, ::-1]))
     another = build([turned], BASE, read_again)
     another.chain.continue_from(read_again.chain)
-    assert another.chain.process(frames[7]).targets[0].status is Status.DETECTED
+    assert another.chain.process(frames[7]).first.status is Status.DETECTED
 
 
 def test_tracks_do_not_outlive_tracking(tracking: Built, frames: tuple[Frame, ...], images: Any) -> None:
@@ -209,4 +209,4 @@ def test_tracks_do_not_outlive_tracking(tracking: Built, frames: tuple[Frame, ..
     off.chain.continue_from(tracking.chain)
     on = build(images, BASE, off)
     on.chain.continue_from(off.chain)
-    assert on.chain.process(frames[4]).targets[0].status is Status.DETECTED
+    assert on.chain.process(frames[4]).first.status is Status.DETECTED

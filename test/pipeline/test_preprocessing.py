@@ -99,8 +99,8 @@ def test_the_target_is_found_with_each_change(
     chain = Localizer(parameters, targets)
     for simulated in one_target_frames[:8:7]:
         result = chain.process(simulated.frame)
-        found = result.targets[0].homography
-        assert found is not None, result.targets[0].reason
+        found = result.first.homography
+        assert found is not None, result.first.reason
         size = result.developed.grey.shape[1::-1]
         # Alignment works on the picture as it was: it is as precise as ever.
         assert corner_error(found.H, simulated.truths[0].H, targets[0].size, size, None) < 0.3
@@ -113,7 +113,7 @@ def test_alignment_and_published_pictures_are_untouched(
     chain = Localizer(parameters, prepare_targets(target_images[:1], parameters))
     first, second = (chain.process(f.frame) for f in one_target_frames[:2])
     assert len(np.unique(first.developed.grey)) > 50
-    assert second.targets[0].status is Status.TRACKED and Stage.PYRAMID not in second.times_ns
+    assert second.first.status is Status.TRACKED and Stage.PYRAMID not in second.times_ns
 
 
 def test_a_frame_without_two_values_is_rejected_with_the_reason(
@@ -125,7 +125,7 @@ def test_a_frame_without_two_values_is_rejected_with_the_reason(
     chain = Localizer(parameters, prepare_targets(target_images[:1], parameters))
     flat = RawImage(np.full((480, 640), 7, np.uint8), PixelLayout(ColorModel.MONO))
     result = chain.process(replace(one_target_frames[0].frame, image=flat))
-    assert result.targets[0].status is Status.REJECTED and "one value" in result.reason
+    assert result.first.status is Status.REJECTED and "one value" in result.reason
 
 
 @pytest.mark.parametrize(

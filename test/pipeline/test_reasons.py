@@ -137,7 +137,7 @@ def pattern(words: str) -> str:
 def test_each_kind_is_said_in_the_users_terms_everywhere(kind, tmp_path: Path) -> None:
     status, pose_status, words = KINDS[kind]
     result = kind()
-    target = result.targets[0]
+    target = result.first
     assert (target.status.value, target.pose_status.value) == (status, pose_status)
     assert re.fullmatch(pattern(words), target.reason), target.reason
     # frames.csv, the status topic and match's JSON say the same.
@@ -153,19 +153,19 @@ def test_each_kind_is_said_in_the_users_terms_everywhere(kind, tmp_path: Path) -
 
 
 def test_found_with_a_pose_says_nothing() -> None:
-    target = result_of(grey(POSTER), CAMERA).targets[0]
+    target = result_of(grey(POSTER), CAMERA).first
     assert (target.pose_status.value, target.reason) == ("metric", "")
 
 
 def test_the_share_that_confirms() -> None:
     """Of a found target nearly all, of a part of it in another picture about that part, of nothing compared none."""
-    assert result_of(grey(POSTER), CAMERA).targets[0].confirmed_share == pytest.approx(1.0, abs=0.1)
-    assert a_part_of_it_in_another_picture().targets[0].confirmed_share == pytest.approx(0.2, abs=0.1)
+    assert result_of(grey(POSTER), CAMERA).first.confirmed_share == pytest.approx(1.0, abs=0.1)
+    assert a_part_of_it_in_another_picture().first.confirmed_share == pytest.approx(0.2, abs=0.1)
     for kind in (blank, another_picture, too_steep, not_developed):
-        assert kind().targets[0].confirmed_share is None
+        assert kind().first.confirmed_share is None
     half = grey(POSTER)
     half[:, :256] = grey(OTHER)[:, :256]
-    assert result_of(half, CAMERA).targets[0].confirmed_share == pytest.approx(0.6, abs=0.1)
+    assert result_of(half, CAMERA).first.confirmed_share == pytest.approx(0.6, abs=0.1)
 
 
 def test_of_a_tracked_target_the_patches_that_agree() -> None:
@@ -176,7 +176,7 @@ def test_of_a_tracked_target_the_patches_that_agree() -> None:
     shares = []
     for stamp, pixels in enumerate((grey(POSTER), grey(POSTER), covered)):
         frame = Frame(RawImage(pixels, PixelLayout(ColorModel.MONO)), stamp * 33_000_000, "camera", CAMERA)
-        target = chain.process(frame).targets[0]
+        target = chain.process(frame).first
         shares.append((target.status.value, target.confirmed_share))
     assert [status for status, _ in shares] == ["detected", "tracked", "tracked"]
     assert shares[1][1] == pytest.approx(1.0, abs=0.1)
@@ -192,8 +192,8 @@ def test_targets_that_are_not_looked_for() -> None:
     for stamp in range(3):
         frame = Frame(RawImage(grey(POSTER), PixelLayout(ColorModel.MONO)), stamp * 33_000_000, "camera", CAMERA)
         result = chain.process(frame)
-        assert result.targets[0].status.found
-        said |= {target.reason for target in result.targets[1:]}
+        assert result.first.status.found
+        said |= {target.reason for target in list(result)[1:]}
     assert NOT_DUE in said
     assert said <= {NOT_DUE, UNLIKELY} | {reason for reason in said if reason.startswith(NOT_IN_VIEW)}
 
@@ -240,7 +240,7 @@ def test_numbers_are_those_of_the_error_where_counts_do_not_tell(
 def test_text_in_frames_csv_is_quoted(tmp_path: Path, text: str, cell: str) -> None:
     """Read back by our reader and by csv as spreadsheets do; a name from outside may be anything."""
     result = blank()
-    target = replace(result.targets[0], name=text, reason=text)
+    target = replace(result.first, name=text, reason=text)
     result = replace(result, frame=replace(result.frame, frame_id=text), targets=(target, target))
     with FramesWriter(tmp_path / "frames.csv") as writer:
         writer.write(result)

@@ -169,7 +169,7 @@ def test_a_covariance_is_not_much_too_small_where_the_frame_is_not_as_assumed(co
     chain = Localizer(parameters, prepare_targets(known, parameters))
     squared, errors_px = [], []
     for simulated in trial_frames(trial):
-        found, true = chain.process(simulated.frame).targets[0], simulated.truths[0]
+        found, true = chain.process(simulated.frame).first, simulated.truths[0]
         if found.pose is None or found.homography is None:
             continue
         error = np.concatenate((true.pose.t - found.pose.t, log_so3(true.pose.R @ found.pose.R.T)))

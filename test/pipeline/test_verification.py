@@ -125,4 +125,4 @@ def test_a_picture_that_shares_the_header_of_a_photograph_is_not_the_photograph(
     chain = Localizer(parameters, prepare_targets([TargetImage("photograph", photograph, 0.5)], parameters))
     for index, simulated in enumerate(absent_frames([other], photograph, (1280, 720), 45, seed=18)):
         if index % 3 == 2:  # those with the header
-            assert not chain.process(simulated.frame).targets[0].status.found, index
+            assert not chain.process(simulated.frame).first.status.found, index

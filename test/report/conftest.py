@@ -11,7 +11,7 @@ import pytest
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.image.development import develop
-from imgu_ros.result import PoseStatus, Result, Stage, Status, TargetMatches, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
 from imgu_ros.simulate.geometry import image_from_template, target_from_template
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.pose import Pose
@@ -44,14 +44,14 @@ def _result(
     image = RawImage(np.broadcast_to(ramp, (height, width)), PixelLayout(ColorModel.MONO))
     frame = Frame(image, 10**18 + index * 50_000_000, "camera", camera)
     if status is Status.REJECTED:
-        targets = tuple(TargetResult(name, i, status, reason=reason) for i, name in enumerate(names))
-        return Result(frame, targets, reason=reason)
+        targets = tuple(ReferenceResult(name, i, status, reason=reason) for i, name in enumerate(names))
+        return Result(frame, by_name(targets), reason=reason)
     targets = tuple(_target(name, i, index, frame, status, pose_status, reason) for i, name in enumerate(names))
     parameters = Parameters()
     none = np.zeros(7)
     return Result(
         frame,
-        targets,
+        by_name(targets),
         developed=develop(image, parameters.raw, parameters.demosaic),
         keypoints=Keypoints(np.zeros((7, 2)), none, none, none, none.astype(np.int32)),
         times_ns={stage: 1_000_000 * (i + 1) + index for i, stage in enumerate(Stage)},
@@ -61,9 +61,9 @@ def _result(
 
 def _target(
     name: str, place: int, index: int, frame: Frame, status: Status, pose_status: PoseStatus, reason: str
-) -> TargetResult:
+) -> ReferenceResult:
     if not status.found:
-        return TargetResult(name, place, status, reason=reason)
+        return ReferenceResult(name, place, status, reason=reason)
     angle = 0.3 + 0.01 * index
     R = np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
     tilt = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -81,13 +81,13 @@ def _target(
 
     matches = Matches(np.arange(40), np.arange(40), np.linspace(10, 60, 40))
     inliers = np.arange(40) < 30
-    return TargetResult(
+    return ReferenceResult(
         name,
         place,
         status,
         pose_status,
         reason,
-        TargetMatches(matches, inside, raw(inside), inliers),
+        ReferenceMatches(matches, inside, raw(inside), inliers),
         HomographyEstimate(H, np.eye(9) * 1e-9, inliers, 0.31, 100),
         raw(corners),
         pose if pose_status is PoseStatus.METRIC else None,

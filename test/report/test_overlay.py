@@ -23,7 +23,7 @@ def test_outline_is_drawn_where_the_target_is(make_result) -> None:
     picture = draw_result(result)
     assert picture.shape == (480, 640, 3)
     assert picture.dtype == np.uint8
-    outline = result.targets[0].outline
+    outline = result.first.outline
     drawn = _is_color(picture, STATUS_COLORS[Status.DETECTED])
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         for share in (0.1, 0.5, 0.9):
@@ -34,7 +34,7 @@ def test_outline_is_drawn_where_the_target_is(make_result) -> None:
 def test_outline_follows_the_lens(make_result) -> None:
     result = make_result(distortion=(-0.3, 0.1), size=(640, 480))
     drawn = _is_color(draw_result(result), STATUS_COLORS[Status.DETECTED])
-    target, camera = result.targets[0], result.frame.camera
+    target, camera = result.first, result.frame.camera
     a, b = camera.ideal_pixels(target.outline)[0][:2]
     x, y = np.rint(camera.raw_pixels([(a + b) / 2])[0]).astype(int)
     assert drawn[y - 2 : y + 3, x - 2 : x + 3].any()
@@ -85,7 +85,7 @@ def _strokes(svg: ElementTree.Element, color: tuple[int, int, int]) -> list[np.n
 def test_as_vectors(make_result, tmp_path: Path) -> None:
     """The frame is the one raster picture; pixel (x, y) lies at (x + 1/2, y + 1/2) of a view of one unit a pixel."""
     result = make_result()
-    target, camera = result.targets[0], result.frame.camera
+    target, camera = result.first, result.frame.camera
     write_overlay(tmp_path / "a.svg", result)
     svg = ElementTree.fromstring((tmp_path / "a.svg").read_text(encoding="utf-8"))
     assert svg.get("viewBox") == "0 0 640 480"
@@ -117,7 +117,7 @@ def test_a_bent_outline_as_vectors(make_result, tmp_path: Path) -> None:
     svg = ElementTree.fromstring((tmp_path / "a.svg").read_text(encoding="utf-8"))
     (outline,) = _strokes(svg, STATUS_COLORS[Status.DETECTED])
     assert len(outline) > 60
-    np.testing.assert_allclose(outline[:64:16], result.targets[0].outline + 0.5, atol=1e-3)
+    np.testing.assert_allclose(outline[:64:16], result.first.outline + 0.5, atol=1e-3)
 
 
 def test_written_as_a_raster_picture(make_result, tmp_path: Path) -> None:

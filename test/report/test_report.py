@@ -69,10 +69,10 @@ def truth_of(results: list[Result]) -> TruthComparison:
     truths = [
         Truth(r.frame.stamp_ns, t.name, t.homography.H, t.pose.transform)
         for r in results
-        for t in r.targets
+        for t in r
         if t.homography is not None and t.pose is not None
     ]
-    names = {t.name: (400, 300) for t in results[0].targets}
+    names = {t.name: (400, 300) for t in results[0]}
     return TruthComparison(truths, names, (640, 480), results[0].frame.camera)
 
 
@@ -85,7 +85,7 @@ def test_table_holds_what_was_written(make_result: MakeResult, tmp_path: Path) -
     assert table.n_inliers[[0, 2]].tolist() == [30, 30]
     assert np.isnan(table.n_inliers[1])
     assert table.total_ms.tolist() == [40.0, 40.000001, 40.000002]
-    pose = results[0].targets[0].pose
+    pose = results[0].first.pose
     assert np.allclose(table.position[0], -pose.R.T @ pose.t)
     assert table.sigma_t[0] == pytest.approx(np.sqrt(3e-6))
     assert table.seconds.tolist() == [0, 0.05, 0.1]

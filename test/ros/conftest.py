@@ -258,7 +258,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     parameters = parameters_from({"targets.images": [str(path)], "targets.widths_m": [0.5]})
     chain = Localizer(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
     results = tuple(chain.process(frame) for frame in frames)
-    assert all(result.targets[0].pose is not None for result in results)
+    assert all(result.first.pose is not None for result in results)
     return World(path, frames, results)
 
 

@@ -71,7 +71,7 @@ def test_it_is_said_once_and_goes_into_the_covariance(oblique: Any, imgu: Any, p
     for count, (frame, result) in enumerate(zip(frames, results, strict=True), 1):
         camera.send(frame)
         peer.wait(lambda n=count: len(peer.heard["/pose"]) == n, f"pose {count}")
-        assert peer.heard["/pose"][-1] == target_pose_message(make_message, result, result.targets[0], "poster")
+        assert peer.heard["/pose"][-1] == target_pose_message(make_message, result, result.first, "poster")
     node.wait_for_line("camera_info does not fit what is seen (focal length about ")
     seen = len(peer.heard["/diagnostics"])
     peer.wait(lambda: len(peer.heard["/diagnostics"]) > seen + 1, "/diagnostics")

@@ -82,7 +82,7 @@ def test_a_camera_from_a_file_and_a_mosaic_called_grey(imgu, world, peer, make_c
         sender.send(frame)
         peer.wait(lambda n=count: len(peer.heard["/pose"]) == n, f"pose {count}")
         delays.append(time.monotonic() - begun)
-    expected = [target_pose_message(make_message, result, result.targets[0], "poster") for result in world.results]
+    expected = [target_pose_message(make_message, result, result.first, "poster") for result in world.results]
     assert peer.heard["/pose"] == expected
     # An image that waits for a camera_info waits 0.3 s at least.
     assert min(delays) < 0.25
@@ -203,7 +203,7 @@ def test_stages_with_a_camera_from_a_file(imgu, world, peer, make_camera, camera
         lambda: peer.heard["/cam/pose"], "a pose",
         again=lambda: sender.send(replace(world.frames[0], stamp_ns=next(stamps) * 10**9)),
     )  # fmt: skip
-    truth = world.results[0].targets[0].pose
+    truth = world.results[0].first.pose
     position = peer.heard["/cam/pose"][-1].pose.pose.position
     assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth.t) < 0.01
     frame = world.frames[0]

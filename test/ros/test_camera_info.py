@@ -18,7 +18,7 @@ from imgu_ros.messages.features import decode_homographies, homographies_message
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import image_message
 from imgu_ros.reference.planar import TargetImage
-from imgu_ros.result import PoseStatus, Status, TargetMatches
+from imgu_ros.result import PoseStatus, ReferenceMatches, Status
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
 from imgu_ros.ros.stages.input import StageJob
@@ -125,7 +125,7 @@ class Heard:
 @pytest.mark.parametrize(("changes", "says"), MESSAGES)
 def test_stages(world, changes, says):
     """The homography goes out of its stage in any case; the pose stage says why there is no pose."""
-    frame, expected = world.frames[0], world.results[0].targets[0]
+    frame, expected = world.frames[0], world.results[0].first
     header = Header(frame.stamp_ns, frame.frame_id)
     info = camera_info_message(make_message, header, frame.camera)
     for name, value in changes.items():
@@ -135,7 +135,7 @@ def test_stages(world, changes, says):
     none = np.full(count, -1, np.intp)
     seen = replace(
         expected,
-        matches=TargetMatches(Matches(none, none, np.zeros(count)), matches.template_xy, matches.image_xy, none < 0),
+        matches=ReferenceMatches(Matches(none, none, np.zeros(count)), matches.template_xy, matches.image_xy, none < 0),
     )
     parameters = parameters_from(
         {"matching.guided": False, "targets.images": [str(world.target)], "targets.widths_m": [0.5]}
@@ -149,14 +149,14 @@ def test_stages(world, changes, says):
     first, second = Heard(), Heard()
     tentative = matches_message(make_message, header, [seen])
     homography.work(StageJob({"matches": tentative, "image_mono": picture}, info, 0.0), first)
-    (found,) = first.result.targets
+    (found,) = first.result
     assert found.status is Status.DETECTED, found.reason
     calibrated = first.result.frame.camera is not None
     assert calibrated == (says == "")
-    sent = homographies_message(make_message, header, first.result.targets, calibrated=calibrated)
+    sent = homographies_message(make_message, header, first.result, calibrated=calibrated)
     assert decode_homographies(sent)["calibrated"].tolist() == [calibrated]
     pose.work(StageJob({"homography": sent, INLIERS: first.offered[INLIERS]}, info, 0.0), second)
-    (found,) = second.result.targets
+    (found,) = second.result
     assert found.pose_status is (PoseStatus.UNCALIBRATED if says else PoseStatus.METRIC)
     if says:
         # The size of the image is known to the other stage alone.

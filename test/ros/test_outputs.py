@@ -23,7 +23,7 @@ from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.messages.geometry import decode_tf_message, tf_message
 from imgu_ros.pose.frame_tree import StampedTransform
-from imgu_ros.result import PoseStatus, Result, Status, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros import map_to_root as map_tie
 from imgu_ros.ros.messages import _fields, make_message, message_class
 from imgu_ros.ros.outputs import Outputs
@@ -147,11 +147,11 @@ def result(
         covariance = np.diag([sigma**2] * 6) * (index + 1)
         if index in seen:
             given = Pose(pose.R, pose.t, covariance, 0.1)
-            targets.append(TargetResult(name, index, Status.TRACKED, PoseStatus.METRIC, pose=given))
+            targets.append(ReferenceResult(name, index, Status.TRACKED, PoseStatus.METRIC, pose=given))
         else:
-            targets.append(TargetResult(name, index, Status.LOST))
+            targets.append(ReferenceResult(name, index, Status.LOST))
     image = RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO))
-    return Result(Frame(image, stamp_ns, frame_id, None), tuple(targets))
+    return Result(Frame(image, stamp_ns, frame_id, None), by_name(targets))
 
 
 def transform(seed: int) -> RigidTransform:
@@ -292,10 +292,10 @@ def test_targets_that_hang_elsewhere_are_told(tf2_msgs: None, settled: None) -> 
     node = FakeNode()
     out = outputs(node)
     frame = result()
-    pose = frame.targets[1].pose
+    pose = list(frame)[1].pose
     assert pose is not None
-    moved = replace(frame.targets[1], pose=replace(pose, t=pose.t + [0.1, 0, 0]))
-    out.publish(replace(frame, targets=(frame.targets[0], moved)))
+    moved = replace(list(frame)[1], pose=replace(pose, t=pose.t + [0.1, 0, 0]))
+    out.publish(replace(frame, references=by_name((frame.first, moved))))
     assert ("map", "eye") in node.tf()
     (line,) = node.lines
     assert line.startswith("targets.poses: a, b put the camera ")

@@ -61,13 +61,13 @@ def test_live_equals_offline_bit_for_bit(node, world, peer, make_camera):
         peer.wait(lambda n=count: len(peer.heard["/homography"]) == n, f"result {count}")
     peer.wait(lambda: len(peer.heard["/targets/poster/odom"]) == len(world.frames), "odometry")
     for index, result in enumerate(world.results):
-        expected = target_pose_message(make_message, result, result.targets[0], "poster")
+        expected = target_pose_message(make_message, result, result.first, "poster")
         assert peer.heard["/pose"][index] == expected
         assert peer.heard["/pose"][index].header == expected.header
-        odometry = target_odometry_message(make_message, result, result.targets[0], "poster")
+        odometry = target_odometry_message(make_message, result, result.first, "poster")
         assert peer.heard["/targets/poster/odom"][index] == odometry
         row = decode_homographies(peer.heard["/homography"][index])[0]
-        assert np.array_equal(row["h"].reshape(3, 3), result.targets[0].homography.H)
+        assert np.array_equal(row["h"].reshape(3, 3), result.first.homography.H)
 
 
 def test_every_output_carries_the_header_and_none_is_made_for_nobody(node, world, peer, make_camera):

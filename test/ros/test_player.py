@@ -210,7 +210,7 @@ def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path, prompt_s):
     peer.hear("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
     play = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
     peer.wait(lambda: len(peer.heard["/pose"]) == len(frames), "all poses")
-    expected = [target_pose_message(make_ros_message, r, r.targets[0], "poster") for r in results]
+    expected = [target_pose_message(make_ros_message, r, r.first, "poster") for r in results]
     assert peer.heard["/pose"] == expected
     assert play.wait() == 0
     assert node.stop() < prompt_s

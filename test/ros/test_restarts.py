@@ -69,7 +69,7 @@ def test_cameras_come_go_and_change(imgu, world, peer, make_camera):
             peer.wait(lambda count=count: len(poses) > count, "a pose", again=send)
             resumed_s.append(time.monotonic() - started)
             t = poses[-1].pose.pose.position
-            truth = world.results[0].targets[0].pose.t
+            truth = world.results[0].first.pose.t
             # The same view, whatever the resolution.
             assert np.linalg.norm([t.x - truth[0], t.y - truth[1], t.z - truth[2]]) < 0.02 * np.linalg.norm(truth)
         camera.close()

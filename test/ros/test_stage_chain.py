@@ -107,8 +107,8 @@ def compared(parameters: Parameters, images: list[TargetImage], frames: list[Fra
         located = six.located.result
         assert located is not None
         assert posed is not None
-        assert [t.status for t in located.targets] == [t.status for t in expected.targets]
-        for mine, theirs, pose in zip(located.targets, expected.targets, posed.targets, strict=True):
+        assert [t.status for t in located] == [t.status for t in expected]
+        for mine, theirs, pose in zip(located, expected, posed, strict=True):
             if theirs.outline is not None:
                 differences.append(float(np.abs(mine.outline - theirs.outline).max()))
                 assert pose.pose_status is theirs.pose_status
@@ -187,7 +187,7 @@ def test_without_a_picture_nothing_is_confirmed_and_without_both_there_is_no_siz
     images, frames = sequence(1, 1)
     six = Six(parameters_from(OFF), images)
     told = six.work(frames[0], without=("image_mono",))
-    assert told.result.targets[0].pose is not None
+    assert told.result.first.pose is not None
     with pytest.raises(ImguError, match="need one of them"):
         six.work(frames[0], without=("image_mono",), calibrated=False)
     refining = HomographyStage()
@@ -198,8 +198,8 @@ def test_without_a_picture_nothing_is_confirmed_and_without_both_there_is_no_siz
 def test_uncalibrated_frames_have_homographies_and_no_poses() -> None:
     images, frames = sequence(1, 1)
     told = Six(parameters_from(OFF), images).work(frames[0], calibrated=False)
-    assert [target.pose_status for target in told.result.targets] == ["uncalibrated"]
-    assert told.result.targets[0].homography is not None
+    assert [target.pose_status for target in told.result] == ["uncalibrated"]
+    assert told.result.first.homography is not None
 
 
 def test_levels_are_waited_for_by_the_size_of_the_first() -> None:
@@ -233,7 +233,7 @@ def test_lost_targets_are_told_too() -> None:
     images, frames = sequence(1, 1)
     dark = replace(frames[0], image=replace(frames[0].image, pixels=np.zeros_like(frames[0].image.pixels)))
     told = Six(parameters_from(OFF), images).work(dark)
-    assert [target.status for target in told.result.targets] == [Status.LOST]
+    assert [target.status for target in told.result] == [Status.LOST]
 
 
 def test_a_stage_describes_a_target_only_where_it_must(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,8 +299,8 @@ def test_what_patches_do_not_confirm_says_nothing_of_the_calibration(monkeypatch
     images, frames = sequence(1, 1)
     told = Six(parameters_from({**OFF, "refinement.enabled": True}), images).work(frames[0]).result
     assert told is not None
-    assert told.targets[0].pose is not None
-    assert not told.targets[0].is_sharp
+    assert told.first.pose is not None
+    assert not told.first.is_sharp
     assert told.calibration is None or told.calibration.views == 0
 
 

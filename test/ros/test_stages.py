@@ -75,7 +75,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     simulation = Simulation(width=SIZE[0], height=SIZE[1], frames=FRAMES, seed=5)
     frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [image]))
     results = tuple(chain.process(frame) for frame in frames)
-    seen = [target.status for result in results for target in result.targets]
+    seen = [target.status for result in results for target in result]
     assert seen.count(Status.DETECTED) > FRAMES // 2, "the comparison needs something to compare"
     return World(path, frames, results)
 
@@ -143,9 +143,9 @@ def test_six_processes_tell_what_one_tells(stages, world, peer):
     for result in world.results:
         camera.send(result.frame)
         topics = ["status", "homography", "pose/status"]
-        if result.targets[0].homography is not None:
+        if result.first.homography is not None:
             topics.append("outline")
-        if result.targets[0].pose is not None:
+        if result.first.pose is not None:
             topics += ["pose", "targets/poster/odom"]
         peer.wait(
             lambda ns=result.frame.stamp_ns, topics=tuple(topics): all(
@@ -157,7 +157,7 @@ def test_six_processes_tell_what_one_tells(stages, world, peer):
     told = {topic: by_stamp(messages) for topic, messages in heard.items()}
     largest = 0.0
     for result in world.results:
-        stamp_ns, expected = result.frame.stamp_ns, result.targets[0]
+        stamp_ns, expected = result.frame.stamp_ns, result.first
         assert entries(told["/cam/status"][stamp_ns]) == {"poster": expected.status.value}
         found = decode_estimates(told["/cam/homography"][stamp_ns], {0: 1})
         if expected.homography is None:

@@ -61,7 +61,7 @@ def test_compressed_in_and_out(imgu, world, peer, prompt_s):
     assert np.abs(pixels - world.results[0].developed.color()).mean() < 4
     peer.wait(lambda: peer.heard["/homography"] and peer.heard["/pose"], "homography and pose")
     row = decode_homographies(peer.heard["/homography"][0])[0]
-    np.testing.assert_array_equal(row["h"].reshape(3, 3), world.results[0].targets[0].homography.H)
+    np.testing.assert_array_equal(row["h"].reshape(3, 3), world.results[0].first.homography.H)
     assert decode_header(peer.heard["/pose"][0]) == Header(first.stamp_ns, first.frame_id)
 
     # The output's format at run time, without losing the listener; JPEG in is not the mosaic any more, but a picture.

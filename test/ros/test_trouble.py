@@ -51,7 +51,7 @@ def test_two_cameras_on_the_same_topics(imgu, world, peer, make_camera):
     for camera in cameras:
         camera.wait_for_node()
     frame = world.frames[0]
-    expected = np.linalg.norm(world.results[0].targets[0].pose.t)
+    expected = np.linalg.norm(world.results[0].first.pose.t)
     # The second camera's focal length is another: with the first one's camera_info its poses would be wrong.
     second = frame.camera.K.copy()
     second[0, 0] *= 1.5

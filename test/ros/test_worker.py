@@ -94,8 +94,8 @@ def test_a_running_worker_keeps_its_tracks(
 ) -> None:
     running = Running(images)
     try:
-        assert running.work(frames[0]).targets[0].status is Status.DETECTED
-        assert running.work(frames[1]).targets[0].status is Status.TRACKED
+        assert running.work(frames[0]).first.status is Status.DETECTED
+        assert running.work(frames[1]).first.status is Status.TRACKED
         before = len(described)
         for frame, values in zip(
             frames[2:6],
@@ -104,13 +104,13 @@ def test_a_running_worker_keeps_its_tracks(
             strict=True,
         ):  # fmt: skip
             running.change(values)
-            assert running.work(frame).targets[0].status is Status.TRACKED, values
+            assert running.work(frame).first.status is Status.TRACKED, values
         assert len(described) == before
         running.change({"keypoints.max_count": 200})
         assert len(described) == before + 2
-        assert running.work(frames[6]).targets[0].status is Status.TRACKED
+        assert running.work(frames[6]).first.status is Status.TRACKED
         running.worker.reset()
-        assert running.work(frames[7]).targets[0].status is Status.DETECTED
+        assert running.work(frames[7]).first.status is Status.DETECTED
         assert not running.failures
     finally:
         assert running.worker.close(5.0)
@@ -127,12 +127,12 @@ def test_a_reload_describes_all_anew_and_a_cleanup_forgets_all(
         read_again = [replace(image, pixels=image.pixels.copy(), width_m=0.7) for image in images]
         worker.use(worker.build(read_again))
         assert len(described) == 2 * once
-        target = running.work(frames[1]).targets[0]
+        target = running.work(frames[1]).first
         assert target.status is Status.TRACKED
         worker.drop()
         worker.use(worker.build(read_again))
         assert len(described) == 3 * once
-        assert running.work(frames[2]).targets[0].status is Status.DETECTED
+        assert running.work(frames[2]).first.status is Status.DETECTED
     finally:
         assert worker.close(5.0)
 
@@ -146,7 +146,7 @@ def test_a_camera_file_that_has_vanished_is_said_and_read_when_it_is_there(
         path = tmp_path / "camera.yaml"
         running.parameters = parameters_from({"camera.info_file": str(path)}, running.parameters)
         for frame in frames[:2]:
-            assert running.work(frame).targets[0].pose is not None, "camera_info counts as before"
+            assert running.work(frame).first.pose is not None, "camera_info counts as before"
         assert "camera.yaml" in running.worker.reading_problem
         assert len(running.failures) == 2
         assert running.worker.info_file == ""

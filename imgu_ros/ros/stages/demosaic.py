@@ -72,7 +72,7 @@ class DemosaicStage(Stage):
         development = develop_frame(frame, p)
         if development.developed is None:
             raise ImguError(development.reason)
-        result = Result(frame, (), developed=development.developed)
+        result = Result(frame, {}, developed=development.developed)
         # Before the others: it is made straight from the mosaic, as long as nobody has asked for more.
         if outputs.listened(REDUCED) or outputs.listened(REDUCED_INFO):
             self._publish_reduced(result, GreyPyramid(development.developed), outputs)

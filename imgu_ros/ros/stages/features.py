@@ -72,7 +72,7 @@ class FeaturesStage(Stage):
         outputs.publish(
             Result(
                 frame_without_image(decode_header(job.messages[_FIRST])),
-                (),
+                {},
                 keypoints=described.keypoints,
                 descriptors=described.descriptors,
                 times_ns=clock.times_ns,

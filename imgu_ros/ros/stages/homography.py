@@ -25,7 +25,7 @@ from imgu_ros.messages.reduced_info import image_size
 from imgu_ros.pose.planar_pose import Located, posed
 from imgu_ros.reasons import no_matches
 from imgu_ros.reference.planar import Target, TargetImage
-from imgu_ros.result import PoseStatus, Result, Status, TargetMatches, TargetResult
+from imgu_ros.result import PoseStatus, ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
@@ -90,30 +90,35 @@ class HomographyStage(TargetStage):
         places: dict[int, Located] = {}
 
         def finish(
-            found: TargetResult, target: Target, place: Located, camera: Camera | None, parameters: Parameters, _: str
-        ) -> TargetResult:
-            places[found.index] = place
+            found: ReferenceResult,
+            target: Target,
+            place: Located,
+            camera: Camera | None,
+            parameters: Parameters,
+            _: str,
+        ) -> ReferenceResult:
+            places[found.number] = place
             # The pose is another stage's: of a target of unknown size there is none.
             outlined = posed(found, replace(target, width_m=0.0), place, camera, parameters)
             return replace(outlined, pose_status=PoseStatus.NONE, reason="")
 
-        def sought() -> Iterator[TargetResult]:
+        def sought() -> Iterator[ReferenceResult]:
             for index, matches in tentative.items():
                 if not 0 <= index < len(self.targets):
                     continue
                 target = self.targets[index]
-                missing = TargetResult(target.name, index, Status.LOST, matches=matches)
+                missing = ReferenceResult(target.name, index, Status.LOST, matches=matches)
                 rng = draws(self.parameters, header.stamp_ns, index)
                 yield located(missing, target, sight, self.parameters, rng, clock, finish=finish)
 
-        found = {result.index: result for result in while_promising(sought())}
-        targets = tuple(
-            found.get(index) or TargetResult(target.name, index, Status.LOST, reason=no_matches())
+        found = {result.number: result for result in while_promising(sought())}
+        targets = [
+            found.get(index) or ReferenceResult(target.name, index, Status.LOST, reason=no_matches())
             for index, target in enumerate(self.targets)
-        )
+        ]
         result = Result(
             frame_without_image(header, read),
-            targets,
+            by_name(targets),
             times_ns=clock.times_ns,
             total_ns=sum(clock.times_ns.values()),
         )
@@ -139,8 +144,8 @@ class HomographyStage(TargetStage):
         return Sight(read.camera, pictures, reduction_of((height, width), self.parameters).unit_px), read
 
 
-def _agreeing(place: Located) -> TargetMatches:
+def _agreeing(place: Located) -> ReferenceMatches:
     count = len(place.template_xy)
     none = np.full(count, -1, np.intp)
     matches = Matches(none, none, np.zeros(count))
-    return TargetMatches(matches, place.template_xy, place.image_xy, np.ones(count, bool))
+    return ReferenceMatches(matches, place.template_xy, place.image_xy, np.ones(count, bool))

@@ -14,7 +14,7 @@ from imgu_ros.detect.detector import ReferenceDetector
 from imgu_ros.errors import EncodingError
 from imgu_ros.messages.features import decode_keypoints
 from imgu_ros.messages.header import decode_header
-from imgu_ros.result import Result, Status, TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
 from imgu_ros.ros.stages.node import run_stage
@@ -59,16 +59,16 @@ class MatcherStage(TargetStage):
             raise EncodingError(f"descriptors: {got}; need {known.shape[1]} x {known.dtype}: the same descriptor.kind")
         found = list(self._seeker.match(Descriptions(keypoints, descriptors)))
         # Nothing for all others is told too: so it is heard that the frame was looked at.
-        sought = {target.index for target in found}
+        sought = {target.number for target in found}
         found += [
-            TargetResult(target.name, index, Status.LOST, matches=_NONE)
+            ReferenceResult(target.name, index, Status.LOST, matches=_NONE)
             for index, target in enumerate(self.targets)
             if index not in sought
         ]
-        outputs.publish(Result(frame_without_image(decode_header(message)), tuple(found)))
+        outputs.publish(Result(frame_without_image(decode_header(message)), by_name(found)))
 
 
 _NO_INDICES = np.zeros(0, np.intp)
-_NONE = TargetMatches(
+_NONE = ReferenceMatches(
     Matches(_NO_INDICES, _NO_INDICES, np.zeros(0)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool)
 )

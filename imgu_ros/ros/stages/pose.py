@@ -19,7 +19,7 @@ from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located, posed
 from imgu_ros.reasons import no_homography, no_pose
 from imgu_ros.reference.size_checks import SizeChecks
-from imgu_ros.result import Result, Status, TargetMatches, TargetResult
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.homography import INLIERS
@@ -94,7 +94,7 @@ class PoseStage(TargetStage):
         self._last_ns = header.stamp_ns
         targets = tuple(self._posed(index, estimates, agreeing, sharp, read) for index in range(len(self.targets)))
         targets = self._check.examined(read.camera, targets)
-        result = Result(frame_without_image(header, read), targets, calibration=self._check.finding)
+        result = Result(frame_without_image(header, read), by_name(targets), calibration=self._check.finding)
         self._sizes.add(result)
         self.remarks = (*(unusable(read) or result.camera_remarks), *self._sizes.warnings.values())
         outputs.publish(result)
@@ -104,17 +104,17 @@ class PoseStage(TargetStage):
         self,
         index: int,
         estimates: Mapping[int, HomographyEstimate],
-        agreeing: Mapping[int, TargetMatches],
+        agreeing: Mapping[int, ReferenceMatches],
         sharp: Set[int],
         read: CameraReading,
-    ) -> TargetResult:
+    ) -> ReferenceResult:
         target = self.targets[index]
         if index not in estimates:
-            return TargetResult(target.name, index, Status.LOST, reason=no_homography())
+            return ReferenceResult(target.name, index, Status.LOST, reason=no_homography())
         matches = agreeing[index]
         place = Located(matches.template_xy, matches.image_xy, estimates[index], halvings=int(index not in sharp))
-        found = TargetResult(target.name, index, Status.DETECTED, matches=matches)
+        found = ReferenceResult(target.name, index, Status.DETECTED, matches=matches)
         try:
             return posed(found, target, place, read.camera, self.parameters, read.reason)
         except EstimationError as error:
-            return TargetResult(target.name, index, Status.DEGENERATE, reason=no_pose(error), matches=matches)
+            return ReferenceResult(target.name, index, Status.DEGENERATE, reason=no_pose(error), matches=matches)

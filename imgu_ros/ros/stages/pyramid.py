@@ -56,7 +56,7 @@ class PyramidStage(Stage):
         base = reduced_picture(GreyPyramid(developed), self.parameters)
         full_size = base.full_size * (shown.width, shown.height) / (width, height)
         pyramid = frame_pyramid(Reduced(base.image, full_size), self.parameters)
-        result = Result(frame, (), developed=developed, pyramid=pyramid)
+        result = Result(frame, {}, developed=developed, pyramid=pyramid)
         header = result_header(result)
         covered = Covered(*np.rint(full_size).astype(int).tolist())
         level = Covered(base.image.shape[1], base.image.shape[0])
