@@ -50,8 +50,8 @@ CONSTANTS = {
     "most_stretched": "track.patch_selection:_MOST_STRETCHED",
     "corner_quality": "reference.planar:_CORNER_QUALITY",
     "corner_distance_px": "reference.planar:_CORNER_DISTANCE_PX",
-    "cauchy_rounds": "vision.projective.increments:_CAUCHY_ROUNDS",
-    "tukey_rounds": "vision.projective.increments:_TUKEY_ROUNDS",
+    "cauchy_rounds": "vision.projective.plane_motion:_CAUCHY_ROUNDS",
+    "tukey_rounds": "vision.projective.plane_motion:_TUKEY_ROUNDS",
     # reach
     "surprise": "track.tracker:_SURPRISE",
     "least_reach_px": "track.tracker:_LEAST_REACH_PX",
@@ -111,10 +111,10 @@ CONSTANTS = {
     "coarse_alike": "reference.verification:COARSE.alike",
     "coarse_needed": "reference.verification:COARSE.needed",
     # covariance
-    "unseen": "vision.projective.normal_equations:_UNSEEN",
-    "outlier_sigmas": "vision.projective.normal_equations:_OUTLIER_SIGMAS",
-    "floor_px": "vision.projective.normal_equations:_FLOOR_PX",
-    "misfit_cells": "vision.projective.misfit:_CELLS",
+    "unseen": "vision.projective.homography:_UNSEEN",
+    "outlier_sigmas": "vision.projective.homography:_OUTLIER_SIGMAS",
+    "floor_px": "vision.projective.homography:_FLOOR_PX",
+    "misfit_cells": "vision.projective.homography:_CELLS",
     "sampled_beyond_px": "vision.matching.alignment:_SAMPLED_BEYOND_PX",
     # ambiguity
     "refuted": "vision.camera.planar_pose:_REFUTED",

@@ -19,8 +19,7 @@ from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
-from imgu_ros.vision.projective.homography import HomographyEstimate
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations
+from imgu_ros.vision.projective.homography import HomographyEstimate, HomographyNormalEquations
 
 #: A target whose outline covers less than this in the frame is not one.
 _MIN_AREA_PX = 100.0

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.types import Mask, Matrix3, Points
-from imgu_ros.vision.projective.homography import HomographyEstimate
-from imgu_ros.vision.projective.refine import tangent_basis
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.homography import HomographyEstimate, normalised_homography, tangent_basis
+from imgu_ros.vision.projective.transform import transform
 
 #: px: the source picture's side, and the frame's.
 SIDE = 1000.0

@@ -15,8 +15,8 @@ from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.alignment import Patches
 from imgu_ros.vision.matching.blur_gain import BlurGain
-from imgu_ros.vision.projective.increments import Motion
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
+from imgu_ros.vision.projective.homography import HomographyNormalEquations, homography_normal_equations
+from imgu_ros.vision.projective.plane_motion import Motion
 
 #: Smallest correlation of a patch that is used. Measured: benchmarks/thresholds.py, study tracking.
 _MIN_SIMILARITY = 0.5

@@ -16,8 +16,7 @@ from imgu_ros.reference.planar import Target
 from imgu_ros.track.patch_alignment import AlignmentOptions, Followed, follow_patches
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.projective.homography import HomographyEstimate
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations
+from imgu_ros.vision.projective.homography import HomographyEstimate, HomographyNormalEquations
 
 #: Largest error that patches bridge, px of the level in which they are aligned. Measured: benchmarks/thresholds.py,
 #: study reach.

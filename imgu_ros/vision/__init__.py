@@ -14,4 +14,7 @@ What arguments may be, the same in all rooms:
   points. Lines, matrices and weights may be lists as well.
 - Where randomness enters, `rng` is a numpy Generator or a seed.
 - What cannot be meant raises `ShapeError`, one line with the argument's name, what was got and what is needed.
+
+A function or method whose name ends in `unchecked` does the same without checking its arguments. The pipeline calls
+these with arrays that it made itself, so that a tracked frame is not validated again and again; they are not exported.
 """

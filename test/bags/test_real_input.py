@@ -24,7 +24,8 @@ from imgu_ros.messages.image import decode_image, image_message
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.homography import normalised_homography
+from imgu_ros.vision.projective.transform import transform
 
 WIDTH, HEIGHT = 768, 512
 BLACK, WHITE = 600, 15520

@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose
 from imgu_ros.reference.planar import Target
 from imgu_ros.track.prediction import Observation, Track
 from imgu_ros.types import Matrix3, Points
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.homography import normalised_homography
+from imgu_ros.vision.projective.transform import transform
 
 SECOND = 1_000_000_000
 #: Where a target is, and how it moves on the picture from one frame to the next.

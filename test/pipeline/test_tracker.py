@@ -26,7 +26,8 @@ from imgu_ros.track.tracker import follow, located
 from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.rotation import log_so3
 from imgu_ros.vision.formation.layout import RawImage
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.homography import normalised_homography
+from imgu_ros.vision.projective.transform import transform
 
 SIZE = (640, 480)
 SECOND = 1_000_000_000

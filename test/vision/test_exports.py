@@ -30,7 +30,7 @@ def _public(room: ModuleType) -> dict[str, object]:
         for name, value in vars(module).items():
             own = getattr(value, "__module__", None) == module.__name__
             named = inspect.isfunction(value) or inspect.isclass(value) or hasattr(value, "__wrapped__")
-            if own and named and not name.startswith("_"):
+            if own and named and not name.startswith("_") and not name.endswith("unchecked"):
                 assert name not in found, f"{room.__name__}: two modules define {name}"
                 found[name] = value
     return found
@@ -99,7 +99,7 @@ def test_the_short_example() -> None:
 
 #: What two values are is said by the function's name, or is points and which of them are valid.
 PAIRS = {
-    "rq", "bend", "unbend", "undistort", "ideal_pixels", "project_with_jacobian", "as_correspondences", "unscaled",
+    "rq", "bend", "unbend", "undistort", "ideal_pixels", "project_with_jacobian", "as_correspondences",
     "poses_about_point", "checked_size", "aspect",
 }  # fmt: skip
 

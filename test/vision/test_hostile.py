@@ -100,8 +100,13 @@ def _of_class(cls: type) -> Iterator[Callable[..., Any]]:
     if hasattr(cls, "linearise") or hasattr(cls, "squared_errors"):
         return
     for name, member in vars(cls).items():
-        if not name.startswith("_") and inspect.isfunction(member) and _takes_array(member):
+        if _is_public(name) and inspect.isfunction(member) and _takes_array(member):
             yield member
+
+
+def _is_public(name: str) -> bool:
+    """Whether a function checks its arguments: those that say `unchecked` are called by the pipeline alone."""
+    return not name.startswith("_") and not name.endswith("unchecked")
 
 
 def _public() -> dict[str, Callable[..., Any]]:
@@ -109,7 +114,7 @@ def _public() -> dict[str, Callable[..., Any]]:
     for module in _modules():
         place = module.__name__.removeprefix("imgu_ros.vision.")
         for name, member in vars(module).items():
-            if name.startswith("_") or getattr(member, "__module__", "") != module.__name__:
+            if not _is_public(name) or getattr(member, "__module__", "") != module.__name__:
                 continue
             if inspect.isfunction(member):
                 found[f"{place}.{name}"] = member
@@ -423,7 +428,7 @@ def test_hostile_argument(name: str) -> None:
 ARRAYS_ALONE = {
     "camera.resection.design_matrix", "matching.hamming.BinaryRows.distances", "matching.numbers.NumberRows.distances",
     "matching.metrics.require_index", "matching.patch_bank.PatchBank.select", "matching.places.Places.at",
-    "projective.checks.finite", "projective.increments.PlaneMotion.fit",
+    "projective.checks.finite", "projective.plane_motion.PlaneMotion.fit",
 }  # fmt: skip
 #: Points as OpenCV returns them, (N, 1, 2): what is called so.
 OF_POINTS = re.compile(r"^(points|others|xy|src|dst|pixels|corners|.*_xy|world|plane_xy|board_xy)$")

@@ -26,7 +26,7 @@ from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations
+from imgu_ros.vision.projective.homography import HomographyNormalEquations
 from imgu_ros.vision.projective.transform import inverse3
 
 #: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.

@@ -28,7 +28,7 @@ after the first homography: half as many matches again and more, for targets wit
 Where it is nearly known how one picture shows the other, patches need no descriptors: a `PatchBank` (`patch_bank`)
 makes each patch ready once, and its `Patches` (`alignment`) tell by one small product of matrices how far what a
 picture shows is displaced, whatever gain and offset of the light (Lucas-Kanade, inverse compositional). A patch
-bridges 3 px or so; `projective.increments` fits the motion that most agree on. A `PatchAtlas` holds the
+bridges 3 px or so; `projective.plane_motion` fits the motion that most agree on. A `PatchAtlas` holds the
 squares of a picture that matter, so that the rest need not be developed.
 
 Hamming distances come from one product of matrices that compares two rows at once, exactly: 1000 descriptors of a

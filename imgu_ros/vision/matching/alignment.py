@@ -23,7 +23,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Image, Indices, Matrix3, Points, as_image, as_matrix
 from imgu_ros.vision.estimation.covariance import window_correlation
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
-from imgu_ros.vision.projective.increments import PlaneMotion
+from imgu_ros.vision.projective.plane_motion import PlaneMotion
 
 #: Grey levels (standard deviation) below which a patch has no contrast.
 FLAT = 0.5

@@ -17,9 +17,8 @@ from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import Metric, checked_rows, comparable_rows
 from imgu_ros.vision.matching.near import near_pairs
 from imgu_ros.vision.projective.fit import fit_homography
-from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.homography import HomographyEstimate, normalised_homography
 from imgu_ros.vision.projective.refine import HomographyError
-from imgu_ros.vision.projective.transform import normalised_homography
 
 #: Larger numbers are no coordinates in a picture.
 _LARGEST_PX = 1e9

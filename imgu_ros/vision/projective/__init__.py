@@ -7,7 +7,7 @@ A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_
 |---|---|---|
 | `transformations` | build, `compose`, `inverse`: translation, rotation, Euclidean, similarity, scaling, shear, affine, projective | a transformation is to be made |
 | `hierarchy` | `classify` a 3x3; `Transformation.invariants`: what each class preserves | what does this matrix do? |
-| `transform` | `transform` points, the local Jacobian, unit norm and sign, `faces_camera` | H is to be applied |
+| `transform` | `transform` points, the local Jacobian, `faces_camera` | H is to be applied |
 | `points_and_lines` | `join`, `meet`, points and the line at infinity, lines under H^-T, distances | lines, vanishing points and lines |
 | `cross_ratio` | of four points on a line, of four lines through a point | what survives every view |
 | `decomposition` | H into similarity, affine and projective parts; A into rotation and two scales | how far is this view from frontal? |
@@ -15,9 +15,9 @@ A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_
 | `refine` | what a fit may minimise: transfer, symmetric, Sampson and reprojection errors | accuracy |
 | `fit` | `fit_homography`: refined, with a covariance | four or more true matches |
 | `estimate` | `estimate_homography`: the same by sample consensus | matches with wrong ones among them |
-| `increments` | `PlaneMotion.fit`: the small motion that most displacements agree on | patches were aligned |
+| `plane_motion` | `PlaneMotion.fit`: the small motion that most displacements agree with | patches were aligned |
 | `logarithm` | of a homography: the motion's velocity, any share of it | a motion is to go on |
-| `condensed` | `homography_normal_equations`: H and all that its displacements tell, in two 8x8 matrices | a pose is to be fitted next |
+| `homography` | `homography_normal_equations`: H and the normal equations of its displacements, two 8x8 matrices; unit norm and sign | a pose is to be fitted next |
 
 Points are `(N, 2)`, or homogeneous `(N, 3)` where infinity is allowed; lines `(N, 3)`. What is homogeneous is returned
 at a fixed scale, so that equal things are equal arrays. Angles turn x towards y: clockwise as seen in an image.
@@ -48,15 +48,20 @@ from imgu_ros.vision.projective.errors import (
     transfer_error,
 )
 from imgu_ros.vision.projective.estimate import estimate_homography
-from imgu_ros.vision.projective.fit import fit_homography, require_spread, unscaled
+from imgu_ros.vision.projective.fit import fit_homography, require_spread
 from imgu_ros.vision.projective.hierarchy import Invariant, Transformation, classify
-from imgu_ros.vision.projective.homography import HomographyEstimate, Orientation
-from imgu_ros.vision.projective.increments import Motion, MotionSums, PlaneMotion, motion_sums
+from imgu_ros.vision.projective.homography import (
+    HomographyEstimate,
+    HomographyNormalEquations,
+    Orientation,
+    homography_normal_equations,
+    normalised_homography,
+    tangent_basis,
+)
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 from imgu_ros.vision.projective.minimal import HomographyModel
-from imgu_ros.vision.projective.misfit import smooth_misfit
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
+from imgu_ros.vision.projective.plane_motion import Motion, PlaneMotion
 from imgu_ros.vision.projective.points_and_lines import (
     cartesian,
     homogeneous,
@@ -76,17 +81,9 @@ from imgu_ros.vision.projective.refine import (
     TransferProblem,
     derivative_by_h,
     stepped,
-    tangent_basis,
 )
 from imgu_ros.vision.projective.reprojection import CorrectedPoints, ReprojectionProblem, corrected_points
-from imgu_ros.vision.projective.transform import (
-    area_factor,
-    faces_camera,
-    inverse3,
-    local_jacobian,
-    normalised_homography,
-    transform,
-)
+from imgu_ros.vision.projective.transform import area_factor, faces_camera, inverse3, local_jacobian, transform
 from imgu_ros.vision.projective.transformations import (
     affine,
     cofactors,
@@ -113,7 +110,6 @@ __all__ = [
     "HomographyParts",
     "Invariant",
     "Motion",
-    "MotionSums",
     "Orientation",
     "Pairs",
     "PlaneMotion",
@@ -154,7 +150,6 @@ __all__ = [
     "local_jacobian",
     "logarithm",
     "meet",
-    "motion_sums",
     "normalisation",
     "normalised_homography",
     "normalised_lines",
@@ -170,7 +165,6 @@ __all__ = [
     "shear_x",
     "shear_y",
     "similarity",
-    "smooth_misfit",
     "stepped",
     "symmetric_transfer_error",
     "tangent_basis",
@@ -179,5 +173,4 @@ __all__ = [
     "transform_lines",
     "transform_points",
     "translation",
-    "unscaled",
 ]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 
 #: Larger numbers are no places in a picture, and their squares overflow.
 LARGEST = 1e100

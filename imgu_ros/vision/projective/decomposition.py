@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Floats, Matrix3, as_matrix
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.transformations import require_regular
 
 #: h33 beside the largest element, in units in which the matrix is balanced: below this the origin goes to infinity.

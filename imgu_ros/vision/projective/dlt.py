@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Matrix3, as_floats, as_matrix, as_points
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 
 #: Singular values below this share of the largest: the points leave the homography undetermined.
 _RANK_TOLERANCE = 1e-9

@@ -12,20 +12,25 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.arguments import as_number
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
+from imgu_ros.types import Floats, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.covariance import propagated_covariance
 from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Minimiser, minimise
 from imgu_ros.vision.projective.dlt import homography_dlt, normalisation
-from imgu_ros.vision.projective.homography import HomographyEstimate, Orientation
+from imgu_ros.vision.projective.homography import (
+    HomographyEstimate,
+    Orientation,
+    normalised_homography,
+    tangent_basis,
+    unscaled_unchecked,
+)
 from imgu_ros.vision.projective.refine import (
     HomographyError,
     SampsonProblem,
     SymmetricProblem,
     TransferProblem,
-    tangent_basis,
 )
 from imgu_ros.vision.projective.reprojection import ReprojectionProblem
-from imgu_ros.vision.projective.transform import faces_camera, inverse3, normalised_homography
+from imgu_ros.vision.projective.transform import faces_camera
 
 #: Smallest extent of the inliers across their main direction, as a share of that along it (both RMS): nearer to a line,
 #: the homography is not determined across it. Measured: benchmarks/thresholds.py, study consensus.
@@ -143,7 +148,7 @@ def _fitted(
     noise = None if noise_px is None else noise_px * float(T_dst[0, 0])
     covariance = propagated_covariance(minimum, noise, correlation)
     basis = tangent_basis(minimum.estimate)
-    H, by_scaled = unscaled(minimum.estimate, T_src, T_dst)
+    H, by_scaled = unscaled_unchecked(minimum.estimate, T_src, T_dst)
     spread_out = by_scaled @ basis
     rms = math.sqrt(float((TransferProblem(src, dst).residuals(H) ** 2).mean()))
     return HomographyEstimate(H, spread_out @ covariance @ spread_out.T, np.ones(len(src), bool), rms, 0)
@@ -186,38 +191,6 @@ def _common_unit(src: Points, dst: Points) -> tuple[Matrix3, Matrix3]:
 
 def _mapped(T: Matrix3, points: Points) -> Points:
     return points @ T[:2, :2].T + T[:2, 2]
-
-
-def unscaled(scaled: Matrix3, T_src: Matrix3, T_dst: Matrix3) -> tuple[Matrix3, Floats]:
-    """Return the unit-norm H ~ T_dst^-1 scaled T_src, (3, 3), and its derivative (9, 9) by `scaled`, row-major.
-
-    Parameters
-    ----------
-    scaled : (3, 3) homography of coordinates of moderate size
-    T_src, T_dst : (3, 3) similarities that make them
-
-    Raises
-    ------
-    DegenerateConfiguration
-        If T_dst is singular, H zero, or the derivative beyond floats.
-    """
-    scaled, T_src, T_dst = (
-        as_matrix(M, (3, 3), name) for M, name in ((scaled, "scaled"), (T_src, "T_src"), (T_dst, "T_dst"))
-    )
-    T_inverse = inverse3(T_dst, "T_dst")
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        raw = T_inverse @ scaled @ T_src
-        H = normalised_homography(raw)
-        norm = math.copysign(float(np.linalg.norm(raw)), float(np.vdot(raw, H)))
-        h = H.ravel()
-        # The Kronecker product of T_dst^-1 and T_src^T; np.kron takes several times as long.
-        by_scaled = T_inverse[:, None, :, None] * T_src.T[None, :, None, :]
-        by_scaled = by_scaled.reshape(9, 9) / norm
-        # Without what goes along H.
-        by_scaled -= h[:, None] * (h @ by_scaled)
-    if not (math.isfinite(norm) and np.isfinite(by_scaled).all()):
-        raise DegenerateConfiguration("scaled, T_src, T_dst: numbers too large or small; need those of a picture")
-    return H, by_scaled
 
 
 #: Most iterations: steepest descent converges linearly, the others nearly quadratically.

@@ -10,7 +10,7 @@ from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.types import Floats, Matrix3, as_matrix
 from imgu_ros.vision.estimation.linear import least_squares, shape_of
 from imgu_ros.vision.projective.dlt import design_matrix, normalisation
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 
 #: Most iterations of reweighting: bounds the time.
 _ROUNDS = 10

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Choice, Floats, Matrix3, Points, as_matrix, as_points
 from imgu_ros.vision.estimation.nonlinear import Linearisation
+from imgu_ros.vision.projective.homography import tangent_basis
 
 
 class HomographyError(Choice):
@@ -19,24 +20,6 @@ class HomographyError(Choice):
     SYMMETRIC = "symmetric"  #: distances in both images
     SAMPSON = "sampson"  #: first-order reprojection error; right when both sides are equally noisy
     REPROJECTION = "reprojection"  #: distances to the nearest pair of points that H joins: the gold standard
-
-
-def tangent_basis(H: ArrayLike) -> Floats:
-    """Return an orthonormal basis (9, 8) of the steps that leave the norm of H alone.
-
-    It is the Householder reflection that takes H (row-major) to an axis, without that axis.
-
-    Raises
-    ------
-    DegenerateConfiguration
-        If H is zero.
-    """
-    h = _unit(as_matrix(H, (3, 3), "H"))
-    v = h.copy()
-    v[0] += 1.0 if h[0] >= 0 else -1.0
-    basis = v[:, None] * (v[1:] * (-2 / float(v @ v)))
-    basis.ravel()[8::9] += 1
-    return np.asarray(basis, np.float64)
 
 
 class _HomographyProblem:

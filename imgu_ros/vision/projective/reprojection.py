@@ -18,7 +18,8 @@ from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Floats, Points
 from imgu_ros.vision.estimation.nonlinear import Linearisation
 from imgu_ros.vision.projective.checks import checked_pairs, finite
-from imgu_ros.vision.projective.refine import TransferProblem, derivative_by_h, tangent_basis
+from imgu_ros.vision.projective.homography import tangent_basis
+from imgu_ros.vision.projective.refine import TransferProblem, derivative_by_h
 
 #: Most iterations of Newton's method, which converges quadratically.
 _ROUNDS = 20

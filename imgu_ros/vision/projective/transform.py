@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.types import Floats, Matrix3, Points, as_matrix, as_points
-
-#: Squares and products of three of such numbers are finite and regular.
-_PLAIN = (1e-90, 1e90)
+from imgu_ros.vision.projective.homography import normalised_homography
 
 
 def transform(H: ArrayLike, points: ArrayLike) -> Points:
@@ -124,32 +122,6 @@ def inverse3(matrix: ArrayLike, name: str = "H") -> Matrix3:
     if not regular or not math.isfinite(np.vdot(inverse, inverse)):
         raise DegenerateConfiguration(f"{name}: singular or nearly so; need a regular matrix")
     return np.asarray(inverse, np.float64)
-
-
-def normalised_homography(H: ArrayLike) -> Matrix3:
-    """Scale a homography to unit Frobenius norm and positive determinant.
-
-    A homography of odd size keeps its orientation under a change of sign only if the determinant changes too:
-    det H > 0 is reached for every regular H. Whether the sign also makes w positive for the points at hand is the
-    caller's to check (`faces_camera`).
-
-    Raises
-    ------
-    DegenerateConfiguration
-        If H is zero.
-
-    Examples
-    --------
-    >>> normalised_homography([[-2, -1, -1], [-1, -2, -1], [-1, -1, -1]]).round(3).tolist()
-    [[0.516, 0.258, 0.258], [0.258, 0.516, 0.258], [0.258, 0.258, 0.258]]
-    """
-    H = as_matrix(H, (3, 3), "H")
-    largest = float(np.abs(H).max())
-    if largest == 0:
-        raise DegenerateConfiguration("H: all zero; need a homography")
-    if not _PLAIN[0] < largest < _PLAIN[1]:
-        H = H / largest
-    return H * ((1 if cv2.determinant(H) >= 0 else -1) / math.sqrt(float(np.vdot(H, H))))
 
 
 def faces_camera(H: ArrayLike, points: ArrayLike) -> bool:

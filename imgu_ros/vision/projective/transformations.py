@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.arguments import as_integer
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Matrix3, as_matrix
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 
 #: Singular values of the balanced matrix, smallest / largest: below this it has no inverse worth the name.
 _RANK_TOLERANCE = 1e-12

@@ -15,8 +15,8 @@ from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses, weighe
 from imgu_ros.vision.camera.plane_view import plane_homography
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rotation import exp_so3
-from imgu_ros.vision.projective.increments import PlaneMotion
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
+from imgu_ros.vision.projective.homography import HomographyNormalEquations, homography_normal_equations
+from imgu_ros.vision.projective.plane_motion import PlaneMotion
 
 Generator = np.random.Generator
 

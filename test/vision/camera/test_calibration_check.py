@@ -22,8 +22,8 @@ from imgu_ros.vision.camera.pose_estimate import fit_pose
 from imgu_ros.vision.camera.pose_fusion import fuse_poses
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
-from imgu_ros.vision.projective.increments import PlaneMotion
-from imgu_ros.vision.projective.normal_equations import homography_normal_equations
+from imgu_ros.vision.projective.homography import homography_normal_equations
+from imgu_ros.vision.projective.plane_motion import PlaneMotion
 from imgu_ros.vision.projective.transform import transform
 
 K = np.array([[935.0, 0, 655], [0, 920, 350], [0, 0, 1]])

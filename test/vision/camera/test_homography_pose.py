@@ -15,8 +15,8 @@ from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.ippe import poses_about_point
 from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
-from imgu_ros.vision.projective.increments import PlaneMotion
-from imgu_ros.vision.projective.normal_equations import homography_normal_equations
+from imgu_ros.vision.projective.homography import homography_normal_equations
+from imgu_ros.vision.projective.plane_motion import PlaneMotion
 from imgu_ros.vision.projective.transform import transform
 
 K = np.array([[900.0, 0, 640.0], [0, 910.0, 350.0], [0, 0, 1]])

@@ -10,7 +10,7 @@ import numpy as np
 from imgu_ros.vision.projective.cross_ratio import cross_ratio, cross_ratio_of_lines
 from imgu_ros.vision.projective.decomposition import decompose_affine, decompose_homography
 from imgu_ros.vision.projective.hierarchy import classify
-from imgu_ros.vision.projective.misfit import smooth_misfit
+from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.points_and_lines import (
     cartesian,
     homogeneous,
@@ -23,14 +23,7 @@ from imgu_ros.vision.projective.points_and_lines import (
     transform_lines,
     transform_points,
 )
-from imgu_ros.vision.projective.transform import (
-    area_factor,
-    faces_camera,
-    inverse3,
-    local_jacobian,
-    normalised_homography,
-    transform,
-)
+from imgu_ros.vision.projective.transform import area_factor, faces_camera, inverse3, local_jacobian, transform
 from imgu_ros.vision.projective.transformations import (
     affine,
     cofactors,
@@ -64,12 +57,6 @@ def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
     transform: lambda rng: {"H": H.copy(), "points": _points(rng)},
-    smooth_misfit: lambda rng: {
-        "points": _points(rng),
-        "residuals": rng.normal(size=_points(rng).shape),
-        "used": np.ones(len(_points(rng)), bool),
-        "variance": 1.0,
-    },
     inverse3: lambda rng: {"matrix": H.copy()},
     area_factor: lambda rng: {"H": H.copy(), "point": _points(rng)[0]},
     local_jacobian: lambda rng: {"H": H.copy(), "points": _points(rng)},

@@ -18,9 +18,10 @@ from imgu_ros.vision.projective.errors import (
 )
 from imgu_ros.vision.projective.estimate import estimate_homography
 from imgu_ros.vision.projective.fit import fit_homography, require_spread
+from imgu_ros.vision.projective.homography import tangent_basis
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.minimal import HomographyModel
-from imgu_ros.vision.projective.refine import derivative_by_h, stepped, tangent_basis
+from imgu_ros.vision.projective.refine import derivative_by_h, stepped
 from imgu_ros.vision.projective.reprojection import corrected_points
 from imgu_ros.vision.projective.transform import transform
 

@@ -8,10 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.types import Floats, Mask, Matrix3, Points
-from imgu_ros.vision.projective.fit import unscaled
-from imgu_ros.vision.projective.increments import Motion, PlaneMotion, motion_sums
+from imgu_ros.vision.projective.homography import HomographyNormalEquations, homography_normal_equations
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
+from imgu_ros.vision.projective.plane_motion import Motion, PlaneMotion
 
 POINTS = np.array([[x + 3.0 * (y == 50), y] for y in (0.0, 50.0, 100.0) for x in (0.0, 40.0, 80.0, 120.0)])
 H = np.array([[1.2, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
@@ -57,10 +56,6 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     logarithm: lambda rng: {"H": np.eye(3) + rng.normal(0, 0.05, (3, 3))},
     PlaneMotion.inverse: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},
     PlaneMotion.matrix: lambda rng: {"self": PlaneMotion(POINTS), "motion": rng.normal(0, 0.01, 8)},
-    motion_sums: lambda rng: {
-        "by_parameters": rng.normal(size=(6, 2, 8)),
-        "correlation": np.eye(6) + 0.1 * np.ones((6, 6)),
-    },
     fitted: lambda rng: {"points": POINTS.copy(), "displacements": displaced(rng), "usable": np.ones(12, bool)},
     fitted_twice: lambda rng: {"displacements": displaced(rng), "usable": np.ones(12, bool), "floor_px": 0.1},
     homography_normal_equations: lambda rng: {
@@ -80,10 +75,5 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "displacements": displaced(rng),
         "H": H.copy(),
         "correlation": 0.9 * np.eye(12) + 0.1,
-    },
-    unscaled: lambda rng: {
-        "scaled": rng.normal(size=(3, 3)) + 3 * np.eye(3),
-        "T_src": FROM_SRC.copy(),
-        "T_dst": np.array([[0.1, 0, 3], [0, 0.1, 4], [0, 0, 1]]),
     },
 }

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from imgu_ros.errors import DegenerateConfiguration
 from imgu_ros.vision.projective.decomposition import decompose_affine, decompose_homography
 from imgu_ros.vision.projective.hierarchy import Transformation, classify
-from imgu_ros.vision.projective.transform import normalised_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.transformations import rotation, similarity
 
 seeds = st.integers(0, 2**32 - 1)

@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.vision.projective.dlt import design_matrix, homography_dlt, normalisation
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.homography import normalised_homography
+from imgu_ros.vision.projective.transform import transform
 
 H_TRUE = normalised_homography([[0.9, -0.3, 220.0], [0.25, 1.1, 40.0], [2e-4, -1e-4, 1.0]])
 SQUARE = np.array([[0.0, 0], [640, 0], [640, 480], [0, 480]])

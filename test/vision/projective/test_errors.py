@@ -17,10 +17,10 @@ from imgu_ros.vision.projective.errors import (
     transfer_error,
 )
 from imgu_ros.vision.projective.fit import fit_homography
+from imgu_ros.vision.projective.homography import normalised_homography, tangent_basis
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
-from imgu_ros.vision.projective.refine import tangent_basis
 from imgu_ros.vision.projective.reprojection import ReprojectionProblem, corrected_points
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.transform import transform
 
 H_TRUE = normalised_homography([[0.8, -0.3, 200.0], [0.25, 0.9, 50.0], [2e-4, -1e-4, 1.0]])
 GEOMETRIC = (transfer_error, symmetric_transfer_error, reprojection_error, sampson_error)

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError, TooFewPoints
 from imgu_ros.vision.projective.estimate import estimate_homography
 from imgu_ros.vision.projective.fit import fit_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.refine import (
     HomographyError,
     SampsonProblem,
@@ -16,7 +17,7 @@ from imgu_ros.vision.projective.refine import (
     TransferProblem,
     tangent_basis,
 )
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.transform import transform
 
 H_TRUE = normalised_homography([[0.8, -0.3, 200.0], [0.25, 0.9, 50.0], [2e-4, -1e-4, 1.0]])
 GEOMETRIC = (HomographyError.TRANSFER, HomographyError.SYMMETRIC, HomographyError.SAMPSON)

@@ -6,8 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration
+from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.minimal import HomographyModel
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.transform import transform
 
 H_TRUE = normalised_homography([[0.8, -0.3, 200.0], [0.25, 0.9, 50.0], [2e-4, -1e-4, 1.0]])
 

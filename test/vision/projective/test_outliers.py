@@ -16,8 +16,9 @@ from imgu_ros.simulate.plane_matches import KINDS, PlaneMatches, plane_matches
 from imgu_ros.vision.projective.dlt import homography_dlt
 from imgu_ros.vision.projective.estimate import estimate_homography
 from imgu_ros.vision.projective.fit import fit_homography
+from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.minimal import HomographyModel
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.transform import transform
 
 
 @pytest.mark.parametrize("kind", KINDS)

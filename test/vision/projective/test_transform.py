@@ -6,14 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.vision.projective.transform import (
-    area_factor,
-    faces_camera,
-    inverse3,
-    local_jacobian,
-    normalised_homography,
-    transform,
-)
+from imgu_ros.vision.projective.homography import normalised_homography
+from imgu_ros.vision.projective.transform import area_factor, faces_camera, inverse3, local_jacobian, transform
 
 H = np.array([[2.0, 0, 10], [0, 3, -4], [0, 0.01, 1]])
 

@@ -9,10 +9,14 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.vision.projective.fit import fit_homography
-from imgu_ros.vision.projective.increments import PlaneMotion
-from imgu_ros.vision.projective.normal_equations import HomographyNormalEquations, homography_normal_equations
-from imgu_ros.vision.projective.refine import tangent_basis
-from imgu_ros.vision.projective.transform import normalised_homography, transform
+from imgu_ros.vision.projective.homography import (
+    HomographyNormalEquations,
+    homography_normal_equations,
+    normalised_homography,
+    tangent_basis,
+)
+from imgu_ros.vision.projective.plane_motion import PlaneMotion
+from imgu_ros.vision.projective.transform import transform
 
 H = np.array([[0.9, -0.2, 40.0], [0.15, 1.1, -20.0], [2e-4, -1e-4, 1.0]])
 SRC_TO_POINTS = np.array([[0.5, 0, -0.25], [0, 0.5, -0.25], [0, 0, 1]])

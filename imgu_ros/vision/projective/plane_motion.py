@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The small motion of a plane that displaced points tell, robustly: an affine map or a homography near the identity."""
+"""Robust estimation of a small motion of the plane, affine or projective, from displacements of its points."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from imgu_ros.arguments import as_flag, shown_value
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_floats, as_points
 
-#: Iterations with Cauchy's weights, which find the majority from anywhere. Measured: benchmarks/thresholds.py, study
-#: tracking.
+#: Iterations with Cauchy's weights, which converge to the majority from any start. Measured: benchmarks/thresholds.py,
+#: study tracking.
 _CAUCHY_ROUNDS = 2
-#: Iterations with Tukey's weights, which leave out what is far off. Measured: benchmarks/thresholds.py, study tracking.
+#: Iterations with Tukey's weights, which are 0 for outliers. Measured: benchmarks/thresholds.py, study tracking.
 _TUKEY_ROUNDS = 2
 _TUKEY = 4.685  # 95 % efficient for normal errors
 #: Points have unit size: a larger parameter is the noise of an undetermined one.
 _LARGEST_MOTION = 1e3
 #: Determinant of a motion below which it squeezes the plane to a line.
 _LEAST_DETERMINANT = 1e-9
-#: Displacements and deviations beyond these are none of a picture's; their squares are plain floats.
+#: Limits of displacements and deviations: their squares are finite and normal floats.
 _LARGEST_PX = 1e12
 #: Smaller extents and deviations are rounding, px.
 _SMALLEST_PX = 1e-9
@@ -38,9 +38,9 @@ class Motion:
     Attributes
     ----------
     parameters : (8,) of the homography I + [[p0 p1 p2] [p3 p4 p5] [p6 p7 0]] of the normalised points
-    agreeing : (N,) displacements that are not improbably far from it
+    agreeing : (N,) inliers: displacements of non-zero weight
     sigma_px : robust standard deviation of one coordinate
-    largest_px : the farthest that it moves one of the points
+    largest_px : largest change of a coordinate of the points, in absolute value
     """
 
     parameters: Floats
@@ -50,7 +50,7 @@ class Motion:
 
 
 class PlaneMotion:
-    """Fits motions to displacements of the same points again and again.
+    """Fits motions to displacements of a fixed set of points.
 
     To first order a homography I + D moves x by a linear function of D (notes 6.5): eight numbers, or six for an
     affine map.
@@ -58,14 +58,14 @@ class PlaneMotion:
     Parameters
     ----------
     points : (N, 2) px
-    affine : leave out the two projective numbers
+    affine : without the two projective parameters
 
     Attributes
     ----------
     points : (N, 2) px, as given
     unit_px : length of a unit of the normalised points
     normalised : (3, 3) normalised points from px
-    back : (3, 3) px from normalised points
+    back : (3, 3) px from normalised points, the inverse of `normalised`
     by_parameters : (N, 2, 8), or (N, 2, 6) if affine: derivative of the normalised points' displacements
 
     Raises
@@ -91,6 +91,16 @@ class PlaneMotion:
         points = as_points(points, "points", 1)
         if not np.abs(points).max() < _LARGEST_PX:
             raise ShapeError(f"points: up to {np.abs(points).max():g}; need less than {_LARGEST_PX:g} px")
+        self._prepare(points, affine)
+
+    @classmethod
+    def unchecked(cls, points: Points, affine: bool) -> PlaneMotion:
+        """Return the same for points that need no checks of type, shape and size."""
+        motion = cls.__new__(cls)
+        motion._prepare(points, affine)
+        return motion
+
+    def _prepare(self, points: Points, affine: bool) -> None:
         self.points = points
         centre = points.mean(axis=0)
         self.unit_px = float(np.sqrt(((points - centre) ** 2).mean()))
@@ -111,25 +121,25 @@ class PlaneMotion:
         self._products = np.einsum("nip,niq->npq", by, by).reshape(len(points), -1)
 
     def fit(self, displacements: Points, usable: Mask, floor_px: float = 0.01, before: Motion | None = None) -> Motion:
-        """Fit the motion that most displacements agree on.
+        """Fit the motion that the majority of the displacements agrees with.
 
         Parameters
         ----------
         displacements : (N, 2) px, of all points or of the first N
-        usable : (N,) bool, those that count
+        usable : (N,) bool, displacements that are used
         floor_px : least standard deviation of a coordinate, > 0
-        before : what was told before, of nearly the same displacements or of the first of them: a start that saves
-            rounds
+        before : motion fitted before to nearly the same displacements, or to the first of them: its inliers are a
+            start that saves iterations
 
         Raises
         ------
         NoConsensus
-            If fewer are usable than the motion has parameters, or they do not determine one.
+            If too few are usable, or they do not determine a motion.
         ShapeError
-            If the arrays are not as said, or the floor is no such number.
+            If an argument has another shape, type or range.
         """
         displacements = as_floats(displacements, "displacements")
-        count, parameters = len(displacements) if displacements.ndim else 0, self.by_parameters.shape[2]
+        count = len(displacements) if displacements.ndim else 0
         if count > len(self.by_parameters) or displacements.shape != (count, 2):
             raise ShapeError(
                 f"displacements: shape {displacements.shape}; need (N, 2), N up to {len(self.by_parameters)}"
@@ -140,32 +150,47 @@ class PlaneMotion:
             raise ShapeError(f"displacements: not finite, or too large; need less than {_LARGEST_PX:g} px")
         if not (isinstance(floor_px, float | int) and _SMALLEST_PX <= floor_px <= _LARGEST_PX):
             raise ShapeError(f"floor_px: {shown_value(floor_px)}; need {_SMALLEST_PX:g} to {_LARGEST_PX:g}")
+        if not isinstance(before, Motion | None):
+            raise ShapeError(f"before: {shown_value(before)}; need a Motion, or None")
+        return self.fit_unchecked(displacements, usable, floor_px, before)
+
+    def fit_unchecked(
+        self, displacements: Points, usable: Mask, floor_px: float = 0.01, before: Motion | None = None
+    ) -> Motion:
+        """`fit` without the checks of its arguments."""
+        count, parameters = len(displacements), self.by_parameters.shape[2]
         used = int(np.count_nonzero(usable))
         if 2 * used < parameters + 4:
             raise NoConsensus(f"displacements: {used} usable; need {parameters // 2 + 2}")
         moved = displacements / self.unit_px
-        rows = self.by_parameters[:count].reshape(-1, parameters)
+        rows, products = self.by_parameters[:count].reshape(-1, parameters), self._products[:count]
         floor = floor_px / self.unit_px
         weights = usable.astype(np.float64)
         cauchy_rounds, rounds = _CAUCHY_ROUNDS, _CAUCHY_ROUNDS + _TUKEY_ROUNDS
         if before is not None:
-            if not isinstance(before, Motion):
-                raise ShapeError(f"before: {shown_value(before)}; need a Motion, or None")
             rounds = _TUKEY_ROUNDS
             cauchy_rounds = 1
             if len(before.agreeing) == count and 2 * np.count_nonzero(before.agreeing & usable) >= parameters + 4:
                 weights *= before.agreeing
                 cauchy_rounds, rounds = 0, 1
-        motion, moving, sigma = np.zeros(parameters), np.zeros((count, 2)), floor
+        motion: Floats = np.zeros(parameters)
+        moving, sigma = np.zeros((count, 2)), floor
         for turn in range(rounds):
-            motion = self._solved(moved, weights)
+            normal = (weights @ products).reshape(parameters, parameters)
+            right = (weights[:, None] * moved).ravel() @ rows
+            # For a few rows, OpenCV is three times as fast as NumPy.
+            regular, solution = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
+            # The points have unit size: a larger solution is the noise of undetermined parameters.
+            if not regular or not np.abs(solution).max() < _LARGEST_MOTION:
+                raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
+            motion = np.asarray(solution[:, 0], np.float64)
             moving = (rows @ motion).reshape(count, 2)
             away = moved - moving
             away *= away
             squared = away[:, 0] + away[:, 1]
-            # The distance that half of them are within; np.median takes ten times as long.
-            told = squared if used == count else squared[usable]
-            sigma = max(math.sqrt(float(np.partition(told, used // 2)[used // 2])) / _RAYLEIGH_MEDIAN, floor)
+            # The median distance; np.median takes ten times as long.
+            of_used = squared if used == count else squared[usable]
+            sigma = max(math.sqrt(float(np.partition(of_used, used // 2)[used // 2])) / _RAYLEIGH_MEDIAN, floor)
             if turn < cauchy_rounds:
                 weights = usable / (1 + squared / (2 * sigma) ** 2)
             else:
@@ -178,37 +203,41 @@ class PlaneMotion:
         return Motion(all_eight, weights > 0, sigma * self.unit_px, largest)
 
     def displacements(self, motion: Motion, first: int) -> Points:
-        """Return by how far a `motion` moves the `first` points, (N, 2) px."""
+        """Return the displacements of the `first` points by a `motion`, (N, 2) px."""
         parameters = self.by_parameters.shape[2]
         rows = self.by_parameters[:first].reshape(-1, parameters)
         return np.asarray((rows @ motion.parameters[:parameters]).reshape(first, 2) * self.unit_px)
 
     def matrix(self, motion: Floats) -> Matrix3:
-        """Return the homography (3, 3) of px that a motion's parameters, (8,), stand for.
+        """Return the homography (3, 3), in px, of a motion's parameters, (8,).
 
         Raises
         ------
         ShapeError
-            If they are no eight numbers, or too large.
+            If they are not eight finite numbers, or too large.
         """
-        a, b, c, d, e, f, g, h = _eight(motion)
+        a, b, c, d, e, f, g, h = _parameters(motion).tolist()
         return np.asarray(self.back @ [[1 + a, b, c], [d, 1 + e, f], [g, h, 1]] @ self.normalised)
 
     def inverse(self, motion: Floats) -> Matrix3:
-        """Return the homography (3, 3) of px that takes a motion back.
+        """Return the homography (3, 3), in px, of the inverse of a motion.
 
         Raises
         ------
         ShapeError
             As for `matrix`.
         DegenerateConfiguration
-            If the motion squeezes the plane to a line or turns it over.
+            If the motion maps the plane to a line or mirrors it.
         """
-        a, b, c, d, e, f, g, h = _eight(motion)
+        return self.inverse_unchecked(_parameters(motion))
+
+    def inverse_unchecked(self, motion: Floats) -> Matrix3:
+        """`inverse` without the checks of its argument."""
+        a, b, c, d, e, f, g, h = motion.tolist()
         a, e = a + 1, e + 1
         if not a * (e - f * h) - b * (d - f * g) + c * (d * h - e * g) > _LEAST_DETERMINANT:
-            raise DegenerateConfiguration("motion: it squeezes the plane to a line or turns it over; need a small one")
-        # A homography has no unit: the adjugate is its inverse.
+            raise DegenerateConfiguration("motion: it maps the plane to a line or mirrors it; need a small motion")
+        # A homography has no scale: its adjugate is its inverse.
         adjugate = [
             [e - f * h, c * h - b, b * f - c * e],
             [f * g - d, a - c * g, c * d - a * f],
@@ -216,65 +245,9 @@ class PlaneMotion:
         ]
         return np.asarray(self.back @ adjugate @ self.normalised)
 
-    def _solved(self, moved: Points, weights: Floats) -> Floats:
-        """Return the weighted least-squares motion, (P,), of the first normalised points."""
-        count, parameters = len(moved), self.by_parameters.shape[2]
-        normal = (weights @ self._products[:count]).reshape(parameters, parameters)
-        right = (weights[:, None] * moved).ravel() @ self.by_parameters[:count].reshape(-1, parameters)
-        # Of a few rows, OpenCV is three times as fast as numpy.
-        regular, motion = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_CHOLESKY)
-        # Points of unit size: a motion as large as this is none, but the noise of what nothing determines.
-        if not regular or not np.abs(motion).max() < _LARGEST_MOTION:
-            raise NoConsensus("displacements: they do not determine a motion; need points that span the plane")
-        return np.asarray(motion[:, 0], np.float64)
 
-
-def _eight(motion: Floats) -> list[float]:
+def _parameters(motion: Floats) -> Floats:
     motion = as_floats(motion, "motion")
     if motion.shape != (8,) or not np.abs(motion).max() < _LARGEST_PX:
         raise ShapeError(f"motion: shape {motion.shape}; need (8,), less than {_LARGEST_PX:g}")
-    return list(motion.tolist())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionSums:
-    """J^T J and J^T C J, (P, P) each, C the correlation of the errors."""
-
-    normal: Floats
-    middle: Floats
-
-
-def motion_sums(by_parameters: Floats, correlation: Floats | None = None) -> MotionSums:
-    """Return the sums over points whose displacements have the derivative `by_parameters`.
-
-    Parameters
-    ----------
-    by_parameters : (N, 2, P)
-    correlation : (N, N) of the errors of different points, the same for both coordinates; None: independent
-
-    Raises
-    ------
-    ShapeError
-        If the arrays do not fit each other, or hold numbers that are not finite or too large.
-    """
-    by_parameters = as_floats(by_parameters, "by_parameters")
-    if by_parameters.ndim != 3 or by_parameters.shape[1] != 2 or not by_parameters.shape[2]:
-        raise ShapeError(f"by_parameters: shape {by_parameters.shape}; need (N, 2, P)")
-    rows = by_parameters.reshape(-1, by_parameters.shape[2])
-    with np.errstate(over="ignore", invalid="ignore"):
-        normal = rows.T @ rows
-    # What is not finite anywhere is not in the sums either: they are smaller.
-    if not math.isfinite(np.vdot(normal, normal)):
-        raise ShapeError("by_parameters: numbers that are not finite, or too large; need squares that are floats")
-    if correlation is None:
-        return MotionSums(normal, normal)
-    correlation = as_floats(correlation, "correlation")
-    if correlation.shape != (len(by_parameters),) * 2:
-        raise ShapeError(f"correlation: shape {correlation.shape}; need {(len(by_parameters),) * 2}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        # Both coordinates of a point beside each other: one product for the two of them.
-        correlated = correlation @ rows.reshape(len(by_parameters), -1)
-        middle = rows.T @ correlated.reshape(rows.shape)
-    if not math.isfinite(np.vdot(middle, middle)):
-        raise ShapeError("correlation: numbers that are not finite, or too large; need -1 to 1")
-    return MotionSums(normal, middle)
+    return motion

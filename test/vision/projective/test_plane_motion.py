@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus, ShapeError
-from imgu_ros.vision.estimation.covariance import window_correlation
-from imgu_ros.vision.projective.increments import PlaneMotion, motion_sums
+from imgu_ros.vision.projective.plane_motion import PlaneMotion
 from imgu_ros.vision.projective.transform import transform
 
 POINTS = np.random.default_rng(1).uniform((20, 50), (700, 500), (120, 2))
@@ -65,19 +64,6 @@ def test_unusable_ones_do_not_count_and_the_first_ones_do_alone() -> None:
     again = motions.fit(moved, usable, before=first)
     assert_allclose(again.parameters, found.parameters, atol=1e-6)
     assert_allclose(motions.fit(moved, usable, before=found).parameters, found.parameters, atol=1e-6)
-
-
-def test_sums_are_those_of_the_propagated_covariance() -> None:
-    motions = PlaneMotion(POINTS)
-    correlation = window_correlation(POINTS, 40.0)
-    rows = motions.by_parameters.reshape(-1, 8)
-    full = np.kron(correlation, np.eye(2))
-    sums = motion_sums(motions.by_parameters, correlation)
-    assert_allclose(sums.normal, rows.T @ rows)
-    assert_allclose(sums.middle, rows.T @ full @ rows, rtol=1e-9, atol=1e-9 * np.abs(sums.normal).max())
-    assert_allclose(motion_sums(motions.by_parameters).middle, sums.normal)
-    with pytest.raises(ShapeError, match="correlation"):
-        motion_sums(motions.by_parameters, np.eye(3))
 
 
 def test_too_few_and_misfitting_arrays_are_refused() -> None:
