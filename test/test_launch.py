@@ -287,6 +287,7 @@ SAID: dict[str, dict[str, object]] = {
     "xml_0": {
         "targets.images": ("poster.png", "second.png"), "targets.widths_m": (0.594, 1.0), "seed": 7, "frames.map": "5"
     },
+    "xml_1": {"targets.images": ("poster.png",), "targets.widths_m": (1.0,), "raw.bands": (2,)},
     "yaml_0": {
         "targets.images": ("poster.png",), "targets.widths_m": (0.594,), "raw.bands": (0, 2), "publish_tf": False,
         "homography.threshold_px": 2.5,

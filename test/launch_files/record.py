@@ -55,7 +55,7 @@ def record(target: Path) -> None:
     command.write_text(STAND_IN)
     command.chmod(0o755)
     shutil.rmtree(target, ignore_errors=True)
-    for line in (HERE / "launches.txt").read_text().splitlines():
+    for line in (HERE / "launches.txt").read_text().splitlines()[1:]:  # after the licence
         case, _, text = line.partition(": ")
         caught = work / case
         caught.mkdir()

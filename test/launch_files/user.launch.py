@@ -43,7 +43,8 @@ def generate_launch_description():
         executable="imgu",
         arguments=["node", "perception"],
         parameters=[
-            {"targets.images": [[LaunchConfiguration("folder"), "/poster.png"]], "targets.widths_m": [1.0]},
+            # One value where a list is declared: launch_ros joins the parts of the text.
+            {"targets.images": [LaunchConfiguration("folder"), "/poster.png"], "targets.widths_m": 1.0},
             {"frames.map": ParameterValue(LaunchConfiguration("threshold"), value_type=str)},
         ],
     )
