@@ -69,7 +69,7 @@ from imgu_ros.cli import main
 run = main._run
 def with_frames(arguments):
     from imgu_ros.replay import result_sink
-    result_sink._WORTH_A_PROCESS = {}
+    result_sink._MIN_FRAMES_FOR_PROCESS = {}
     return run(arguments)
 main._run = with_frames
 sys.exit(main.main())

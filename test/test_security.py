@@ -25,7 +25,7 @@ UNSAFE = re.compile(r"(Unsafe|Full)Loader|^(C?)Loader$")
 #: Modules that read objects of any kind.
 OBJECTS = {"pickle", "marshal", "shelve", "dill", "joblib"}
 #: The two ends of a pipe to a process of our own.
-PIPE = {"replay/result_process.py", "replay/result_writer.py"}
+PIPE = {"replay/result_process.py"}
 NETWORK = re.compile(r"(socket|socketserver|http|urllib\.request|ftplib|smtplib|xmlrpc|requests|asyncio|ssl)(\..*)?")
 
 

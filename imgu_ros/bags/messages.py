@@ -71,7 +71,7 @@ def message_layout(type_name: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Field:
+class _FieldConversion:
     """How a field comes about: from what is given, and when nothing is."""
 
     convert: Callable[[Any], object]
@@ -83,13 +83,13 @@ class _Layout:
     """A type's class and its fields: found once, for a frame's results are some fifty messages."""
 
     message_class: Callable[..., Any]
-    fields: Mapping[str, _Field]
+    fields: Mapping[str, _FieldConversion]
 
 
 @cache
 def _layout(type_name: str) -> _Layout:
     fields = {
-        name: _Field(_converter(f"{type_name}.{name}", kind), _default(kind))
+        name: _FieldConversion(_converter(f"{type_name}.{name}", kind), _default(kind))
         for name, kind in message_layout(type_name).items()
     }
     for name, value in _NONZERO_DEFAULTS.get(type_name, {}).items():

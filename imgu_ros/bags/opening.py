@@ -9,15 +9,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunked import ChunkedStorage
 from imgu_ros.bags.compression import ZSTD_MAGIC, Expansion, TemporarySpace, decompress_file
-from imgu_ros.bags.mcap_format import MAGIC as MCAP_MAGIC
-from imgu_ros.bags.mcap_index import MCAP
-from imgu_ros.bags.rosbag1_format import MAGIC as ROSBAG1_MAGIC
-from imgu_ros.bags.rosbag1_index import ROSBAG1
-from imgu_ros.bags.rosbag2 import METADATA, recording
-from imgu_ros.bags.sqlite import SqliteStorage
-from imgu_ros.bags.storage import Storage, Warnings
+from imgu_ros.bags.rosbag2_folder import METADATA, recording
+from imgu_ros.bags.salvage.chunked_storage import ChunkedStorage
+from imgu_ros.bags.salvage.mcap_format import MAGIC as MCAP_MAGIC
+from imgu_ros.bags.salvage.mcap_index import MCAP
+from imgu_ros.bags.salvage.rosbag1_format import MAGIC as ROSBAG1_MAGIC
+from imgu_ros.bags.salvage.rosbag1_index import ROSBAG1
+from imgu_ros.bags.sqlite_storage import SqliteStorage
+from imgu_ros.bags.storage import Storage, WarningLog
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -49,10 +49,10 @@ def _reason(error: Exception) -> str:
     return "symbolic links in a circle" if isinstance(error, RuntimeError) else str(error)
 
 
-class Opening:
+class FileOpener:
     """Opens the files of bags, and closes them with `stack`."""
 
-    def __init__(self, limits: LimitsParameters, warnings: Warnings, stack: ExitStack) -> None:
+    def __init__(self, limits: LimitsParameters, warnings: WarningLog, stack: ExitStack) -> None:
         self.limits, self.warnings, self.stack = limits, warnings, stack
         self.space = TemporarySpace(limits)
 

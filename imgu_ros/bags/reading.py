@@ -12,14 +12,14 @@ from typing import Any, Self
 
 from imgu_ros.bags.compression import Expansion, decompressed_message
 from imgu_ros.bags.decoding import MessageDecoder
-from imgu_ros.bags.opening import NEED, Opening, require_different
-from imgu_ros.bags.storage import Channel, RawMessage, Storage, Warnings, merge_by_time, seconds
+from imgu_ros.bags.opening import NEED, FileOpener, require_different
+from imgu_ros.bags.storage import Channel, RawMessage, Storage, WarningLog, merge_by_time, seconds
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
 
 
 @dataclass(frozen=True, slots=True)
-class Topic:
+class BagTopic:
     """A topic of a bag: its name, its type ("package/msg/Name"; empty when unknown), and its number of messages."""
 
     name: str
@@ -68,7 +68,7 @@ def open_bag(paths: Sequence[Path], *, limits: LimitsParameters = DEFAULT_LIMITS
         raise BagError(f"no bag given; {NEED}")
     require_different(paths)
     with ExitStack() as stack:
-        opening = Opening(limits, Warnings(), stack)
+        opening = FileOpener(limits, WarningLog(), stack)
         storages = [storage for path in paths for storage in opening.storages(Path(path))]
         return Bag(storages, opening.warnings, stack.pop_all(), limits)
 
@@ -79,7 +79,7 @@ class Bag:
     def __init__(
         self,
         storages: Sequence[Storage],
-        warnings: Warnings,
+        warnings: WarningLog,
         resources: ExitStack,
         limits: LimitsParameters = DEFAULT_LIMITS,
     ) -> None:
@@ -89,15 +89,15 @@ class Bag:
         self._decoder = MessageDecoder(limits)
         self._limits = limits
         self._is_open = True
-        totals: dict[str, Topic] = {}
+        totals: dict[str, BagTopic] = {}
         for storage in storages:
             for channel, count in storage.counts.items():
-                known = totals.get(channel.topic, Topic(channel.topic, channel.type_name, 0))
-                totals[channel.topic] = Topic(known.name, known.type_name or channel.type_name, known.count + count)
+                known = totals.get(channel.topic, BagTopic(channel.topic, channel.type_name, 0))
+                totals[channel.topic] = BagTopic(known.name, known.type_name or channel.type_name, known.count + count)
         self._topics = tuple(totals.values())
 
     @property
-    def topics(self) -> tuple[Topic, ...]:
+    def topics(self) -> tuple[BagTopic, ...]:
         """The topics, in the bag's order."""
         return self._topics
 

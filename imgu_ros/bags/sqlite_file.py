@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory, gettempdir
 from typing import Any
 from urllib.parse import quote
 
-from imgu_ros.bags.storage import Warnings
+from imgu_ros.bags.storage import WarningLog
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -39,7 +39,7 @@ _REAL_TABLE = re.compile(r"CREATE\s+TABLE\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class TableColumn:
     """A column of a table: whether it is the table's only key, and whether it is stored, not computed."""
 
     name: str
@@ -64,7 +64,7 @@ class SqliteFile:
         If the file cannot be opened.
     """
 
-    def __init__(self, path: Path, name: str, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
+    def __init__(self, path: Path, name: str, warnings: WarningLog, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
         self.given, self._name, self._warnings, self._limits = path, name, warnings, limits
         self._resources = ExitStack()
         self._steps_left = _SCHEMA_STEPS
@@ -98,7 +98,7 @@ class SqliteFile:
         """Return an error for people."""
         return "its pages lead to the same rows again and again" if self._steps_left <= 0 else str(error)
 
-    def tables(self, *names: str) -> dict[str, tuple[Column, ...]]:
+    def tables(self, *names: str) -> dict[str, tuple[TableColumn, ...]]:
         """Return the columns of those of the tables that are there.
 
         Raises
@@ -110,7 +110,7 @@ class SqliteFile:
         query = (
             f"SELECT name, sql FROM sqlite_master WHERE type IN ('table', 'view') AND name COLLATE NOCASE IN ({marks})"
         )
-        found: dict[str, tuple[Column, ...]] = {}
+        found: dict[str, tuple[TableColumn, ...]] = {}
         for name, sql in islice(self.execute(query, names), 2 * len(names)):
             name = bytes(name).decode("ascii", "replace").lower()
             text = sql.decode("utf-8", "replace") if isinstance(sql, bytes) else ""
@@ -119,11 +119,11 @@ class SqliteFile:
             found[name] = self._columns(name)
         return found
 
-    def _columns(self, table: str) -> tuple[Column, ...]:
+    def _columns(self, table: str) -> tuple[TableColumn, ...]:
         rows = list(self.execute(f"PRAGMA table_xinfo({table})"))
         keys = sum(bool(row[5]) for row in rows)
         return tuple(
-            Column(bytes(row[1]).decode("utf-8", "replace").lower(), bool(row[5]) and keys == 1, not row[6])
+            TableColumn(bytes(row[1]).decode("utf-8", "replace").lower(), bool(row[5]) and keys == 1, not row[6])
             for row in rows
         )
 

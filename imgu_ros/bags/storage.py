@@ -68,7 +68,7 @@ class RawMessage:
     data: bytes | memoryview
 
 
-class Warnings:
+class WarningLog:
     """What is missing or damaged: each kind once, with a count, so that a bad bag cannot fill the memory."""
 
     def __init__(self) -> None:
@@ -100,8 +100,8 @@ class Warnings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A stretch of messages that can be opened late.
+class MessageBlock:
+    """A extent of messages that can be opened late.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Storage(Protocol):
     def end_ns(self) -> int:
         """Time of the last message."""
 
-    def parts(self, topics: Collection[str] | None) -> Iterator[Part]:
+    def parts(self, topics: Collection[str] | None) -> Iterator[MessageBlock]:
         """Yield what holds the messages of `topics` (None: all), in the order of its beginning.
 
         Damage is skipped and noted as a warning.
@@ -149,7 +149,7 @@ class Storage(Protocol):
 
 
 def merge_by_time(
-    storages: Iterable[Iterator[Part]], most_bytes: int, on_disorder: Callable[[], None] = lambda: None
+    storages: Iterable[Iterator[MessageBlock]], most_bytes: int, on_disorder: Callable[[], None] = lambda: None
 ) -> Iterator[RawMessage]:
     """Yield the messages of all storages in time order; equal times in the order of storages and their parts.
 
@@ -187,7 +187,7 @@ def merge_by_time(
         yield message
 
 
-def _numbered(number: int, parts: Iterator[Part]) -> Iterator[tuple[tuple[int, int, int], Part]]:
+def _numbered(number: int, parts: Iterator[MessageBlock]) -> Iterator[tuple[tuple[int, int, int], MessageBlock]]:
     return (((part.start_ns, number, part.place), part) for part in parts)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from imgu_ros.bags.reading import Topic
+from imgu_ros.bags.reading import BagTopic
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.nearest_name import nearest_name
 
@@ -13,7 +13,7 @@ IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
 
-def find_image_topic(topics: Sequence[Topic], name: str = "") -> Topic:
+def find_image_topic(topics: Sequence[BagTopic], name: str = "") -> BagTopic:
     """Return the topic with the images.
 
     Parameters
@@ -40,12 +40,12 @@ def find_image_topic(topics: Sequence[Topic], name: str = "") -> Topic:
     return next((topic for topic in images if topic.count), images[0])
 
 
-def image_topics(topics: Sequence[Topic]) -> tuple[Topic, ...]:
+def image_topics(topics: Sequence[BagTopic]) -> tuple[BagTopic, ...]:
     """Return the topics of an image type, in the bag's order."""
     return tuple(topic for topic in topics if topic.type_name in IMAGE_TYPES)
 
 
-def find_camera_info_topic(topics: Sequence[Topic], image_topic: str, name: str = "") -> Topic | None:
+def find_camera_info_topic(topics: Sequence[BagTopic], image_topic: str, name: str = "") -> BagTopic | None:
     """Return the topic with the camera_info of an image topic; None when the bag has none (not calibrated).
 
     Parameters
@@ -69,7 +69,7 @@ def find_camera_info_topic(topics: Sequence[Topic], image_topic: str, name: str 
     return next((t for t in topics if _same(t.name, sibling) and t.type_name == CAMERA_INFO_TYPE), None)
 
 
-def _named(topics: Sequence[Topic], name: str, parameter: str) -> Topic:
+def _named(topics: Sequence[BagTopic], name: str, parameter: str) -> BagTopic:
     for topic in topics:
         if _same(topic.name, name):
             return topic
@@ -84,6 +84,6 @@ def _same(one: str, other: str) -> bool:
     return one.lstrip("/") == other.lstrip("/")
 
 
-def _listed(topics: Sequence[Topic]) -> str:
+def _listed(topics: Sequence[BagTopic]) -> str:
     shown = ", ".join(f"{topic.name} ({topic.type_name or 'unknown type'})" for topic in topics[:20])
     return (shown + (f" and {len(topics) - 20} others" if len(topics) > 20 else "")) or "its topics (it has none)"

@@ -139,9 +139,9 @@ def _output_folder(out: Path | None) -> Iterator[RunFolder | None]:
     if out is None:
         yield None
         return
-    from imgu_ros.replay.output_folder import Contents, output_folder
+    from imgu_ros.replay.output_folder import OutputFiles, output_folder
 
-    with output_folder(out, Contents("bench", (JSON, TABLE, PLOT), JSON), overwrite=True) as folder:
+    with output_folder(out, OutputFiles("bench", (JSON, TABLE, PLOT), JSON), overwrite=True) as folder:
         yield folder
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from imgu_ros.bags.pictures import recorded_pictures
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.recorded_images import recorded_images
 from imgu_ros.cli.picture_layout import picture_layout
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, FileError, ImguError, ParameterError, TooFewPoints
@@ -227,9 +227,7 @@ def _of_files(files: Sequence[Path], parameters: Parameters, pattern: str | None
 
 def _of_bag(bags: Sequence[Path], parameters: Parameters) -> Iterator[_Picture]:
     with open_bag(bags, limits=parameters.limits) as bag:
-        for picture in recorded_pictures(
-            bag, parameters.image_topic, parameters.raw.encoding, limits=parameters.limits
-        ):
+        for picture in recorded_images(bag, parameters.image_topic, parameters.raw.encoding, limits=parameters.limits):
             name = f"{picture.stamp_ns / 1e9:.3f} s"
             if picture.image is None:
                 yield _Picture(name, None, picture.reason, picture.remarks)

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from imgu_ros.bags.image_choice import choose_image_topic
-from imgu_ros.bags.reading import Bag, BagMessage, Topic
+from imgu_ros.bags.reading import Bag, BagMessage, BagTopic
+from imgu_ros.bags.recorded_images import choose_image_topic
 from imgu_ros.bags.topics import find_camera_info_topic
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
+from imgu_ros.image.frame_development import Development, develop_frame
 from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.header_checks import HeaderChecks
 from imgu_ros.messages.pairing import Pair, Pairing
@@ -72,7 +73,7 @@ class FrameSource:
         self.image_topic = choice.topic
         if choice.remark:
             self.warnings.append(choice.remark)
-        self.camera_info_topic: Topic | None = None
+        self.camera_info_topic: BagTopic | None = None
         self.camera_info_file = ""
         if self._reading.file_camera is None:
             name = parameters.camera_info_topic
@@ -127,6 +128,39 @@ class FrameSource:
         if self.camera_info_topic is None:
             return f"the bag has no camera_info beside {self.image_topic.name}"
         return f"{self.camera_info_topic.name} has none for the image at {pair.stamp_ns} ns"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadFrame:
+    """A recorded frame, ready for the chain.
+
+    Attributes
+    ----------
+    time_ns : when it was recorded
+    frame : decoded; with an image of no pixels when it could not be
+    reason : why it could not be decoded; empty when it was
+    development : of the frame; None when it could not be decoded
+    warnings : what bag and source had said when it was read
+    """
+
+    time_ns: int
+    frame: Frame
+    reason: str
+    development: Development | None
+    warnings: tuple[str, ...]
+
+
+def read_ahead(bag: Bag, source: FrameSource, parameters: Parameters) -> Iterator[ReadFrame]:
+    """Yield the source's frames; for another thread, which alone then uses `bag` and `source`."""
+    for recorded in source.frames():
+        development = None if recorded.reason else develop_frame(recorded.frame, parameters)
+        warnings = (*bag.warnings, *source.warnings)
+        yield ReadFrame(recorded.time_ns, recorded.frame, recorded.reason, development, warnings)
+
+
+def size_of(read: ReadFrame) -> int:
+    """Return about how many bytes a frame keeps: its raw pixels, and as many of grey."""
+    return 2 * read.frame.image.pixels.nbytes
 
 
 def _recorded(pair: Pair[BagMessage, Any], reading: FrameReading) -> RecordedFrame:

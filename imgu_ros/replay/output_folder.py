@@ -12,16 +12,15 @@ from pathlib import Path
 
 from imgu_ros.errors import FileError
 from imgu_ros.file_access.atomic_files import file_errors, part_path, sync_file
-from imgu_ros.replay.earlier_files import EarlierFiles, EarlierRun
+from imgu_ros.replay.earlier_run import MANIFEST, EarlierFiles, EarlierRun, read_manifest, write_manifest
 from imgu_ros.replay.folder_lock import LOCK, FolderLock, last_work_ns, locked_folder
-from imgu_ros.replay.manifest import MANIFEST, read_manifest, write_manifest
 
-#: How often a run that writes says so.
-_AT_WORK_S = 0.5
+#: Interval at which a run that writes marks the time.
+_MARK_INTERVAL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class OutputFiles:
     """What a run writes into its folder.
 
     Attributes
@@ -53,8 +52,15 @@ class RunFolder:
     lock: int
     _next_s: float = 0.0
 
-    def at_work(self) -> None:
-        """Call `renew` when the last time is a while ago; to be called before everything that is written."""
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Mark a write: `renew` before it when the last mark is old, and after it when it took long.
+
+        Without the second mark, a run that is killed behind a slow write would leave files that look changed by others.
+        """
+        if time.monotonic() >= self._next_s:
+            self.renew()
+        yield
         if time.monotonic() >= self._next_s:
             self.renew()
 
@@ -66,7 +72,7 @@ class RunFolder:
         FileError
             If the folder was removed, renamed or replaced: what others put in its place is not written to.
         """
-        self._next_s = time.monotonic() + _AT_WORK_S
+        self._next_s = time.monotonic() + _MARK_INTERVAL_S
         try:
             status = os.stat(self.path)
         except OSError as error:
@@ -127,7 +133,7 @@ class RunFolder:
 @contextlib.contextmanager
 def output_folder(
     out: Path,
-    contents: Contents,
+    contents: OutputFiles,
     *,
     overwrite: bool,
     inputs: Sequence[Path] = (),
@@ -160,7 +166,7 @@ def output_folder(
         status = os.stat(out)
         folder = RunFolder(out, status.st_dev, status.st_ino, lock.descriptor)
         write_manifest(out, contents.kind, _all_names(contents))
-        folder.at_work()
+        folder.renew()
         held = stack.pop_all()
     with held:
         try:
@@ -169,7 +175,7 @@ def output_folder(
             folder.mark_time()
 
 
-def check_output_folder(out: Path, contents: Contents, *, overwrite: bool, inputs: Sequence[Path] = ()) -> None:
+def check_output_folder(out: Path, contents: OutputFiles, *, overwrite: bool, inputs: Sequence[Path] = ()) -> None:
     """Raise what `output_folder` would, without touching anything; what only trying shows remains."""
     with _folder_errors(out):
         if not out.exists():
@@ -190,13 +196,13 @@ def sync_tree(path: Path) -> None:
     sync_file(path)
 
 
-def _make_room(out: Path, contents: Contents, overwrite: bool, lock: FolderLock) -> None:
+def _make_room(out: Path, contents: OutputFiles, overwrite: bool, lock: FolderLock) -> None:
     earlier = _checked(out, contents, overwrite, lock.worked_until_ns)
     with EarlierFiles(out, _all_names(contents), earlier) as files:
         files.remove(first=contents.mark)
 
 
-def _checked(out: Path, contents: Contents, overwrite: bool, until_ns: int | None) -> EarlierRun | None:
+def _checked(out: Path, contents: OutputFiles, overwrite: bool, until_ns: int | None) -> EarlierRun | None:
     """Return the run before; refuse a folder that is not empty, and one of another kind of run."""
     if not overwrite and set(os.listdir(out)) - {LOCK}:
         raise FileError(f"{out}: folder is not empty; need a new or an empty one, or --overwrite")
@@ -208,7 +214,7 @@ def _checked(out: Path, contents: Contents, overwrite: bool, until_ns: int | Non
     return EarlierRun(manifest, until_ns)
 
 
-def _refuse_inputs(out: Path, contents: Contents, earlier: EarlierRun | None, inputs: Sequence[Path]) -> None:
+def _refuse_inputs(out: Path, contents: OutputFiles, earlier: EarlierRun | None, inputs: Sequence[Path]) -> None:
     names = _all_names(contents) | (frozenset() if earlier is None else earlier.manifest.files)
     places = {_real(out / name.partition("/")[0]) for name in names}
     for path in inputs:
@@ -221,7 +227,7 @@ def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))  # unlike `resolve` it raises nothing, whatever links lead to
 
 
-def _all_names(contents: Contents) -> frozenset[str]:
+def _all_names(contents: OutputFiles) -> frozenset[str]:
     """Return the names of all files, also those that are there only while they are written."""
     beside = [part_path(Path(name)).name for name in (*contents.files, MANIFEST) if "/" not in name]
     return frozenset((*contents.files, *beside))

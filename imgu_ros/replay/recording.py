@@ -22,7 +22,7 @@ from imgu_ros.messages.encodings import Encoding, encoding_named
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
 from imgu_ros.reference.planar import TargetImage
-from imgu_ros.replay.output_folder import Contents, check_output_folder, output_folder
+from imgu_ros.replay.output_folder import OutputFiles, check_output_folder, output_folder
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import Truth, write_truth
 from imgu_ros.stop_signals import HeldExitStack, held
@@ -120,8 +120,8 @@ def record_simulation(
             if frame.camera is not None:
                 info = camera_info_message(make_message, header, frame.camera)
                 bag.write(CAMERA_INFO_TOPIC, info, frame.stamp_ns)
-            folder.at_work()
-            bag.write(IMAGE_TOPIC, image, frame.stamp_ns)
+            with folder.writing():
+                bag.write(IMAGE_TOPIC, image, frame.stamp_ns)
             truths += pending.truths
             done += 1
             on_progress(done, simulation.frames)
@@ -163,13 +163,13 @@ def _check_format(bag_format: BagFormat, encoding: Encoding, sensor: Sensor | No
         raise ParameterError(f"row padding: {bag_format.row_padding} bytes; need 0 to 65536")
 
 
-def _contents(out: Path, targets: Sequence[TargetImage], storage: str) -> Contents:
+def _contents(out: Path, targets: Sequence[TargetImage], storage: str) -> OutputFiles:
     """Return what is written: bag files last, so that nobody takes half a bag for a whole one."""
     name = _bag_name(out)
     unfinished = (f"{_UNFINISHED}/{name}/{file}" for file in unfinished_bag_files(name))
     side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE)
     bag = bag_files(name, storage)
-    return Contents("simulation", (*unfinished, *side_files, *bag), bag[-1])
+    return OutputFiles("simulation", (*unfinished, *side_files, *bag), bag[-1])
 
 
 def _bag_name(out: Path) -> str:

@@ -19,14 +19,12 @@ from imgu_ros.localizer import Localizer, rejected
 from imgu_ros.messages.results import needs_keypoints
 from imgu_ros.reference.planar import Target, prepare_targets
 from imgu_ros.reference.size_checks import SizeChecks
-from imgu_ros.replay.frame_source import FrameSource
+from imgu_ros.replay.frame_source import FrameSource, ReadFrame, read_ahead, size_of
 from imgu_ros.replay.output_folder import check_output_folder, output_folder
-from imgu_ros.replay.read_ahead import ReadFrame, read_ahead, size_of
 from imgu_ros.replay.recorded_topics import checked_record
-from imgu_ros.replay.result_files import replay_contents
-from imgu_ros.replay.result_items import Files, ResultItem
+from imgu_ros.replay.result_files import ReplayOutput, ResultItem, replay_contents
 from imgu_ros.replay.result_sink import ResultSink, result_sink
-from imgu_ros.replay.statistics import Replayed, ReplayStatistics
+from imgu_ros.replay.statistics import FinishedReplay, ReplayStatistics
 from imgu_ros.report.summary import Source, Summary
 from imgu_ros.simulate.truth import read_truth
 from imgu_ros.stop_signals import HeldExitStack, held
@@ -73,7 +71,7 @@ def replay(
     recorded = checked_record(record)
     truths = () if truth is None else read_truth(truth)
     check_output_folder(out, replay_contents(()), overwrite=overwrite, inputs=bags)
-    warnings = _Warnings(on_warning)
+    warnings = _UniqueWarnings(on_warning)
     with HeldExitStack() as stack:
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
         if not parameters.targets.images:
@@ -102,29 +100,33 @@ def replay(
                 on_warning=lambda text: warnings.add([text]),
             )
         )
-        sink = stack.enter_context(result_sink(Files(folder, parameters, names, recorded, total)))
-        passed = _Run(total, targets, parameters, recorded, warnings, on_progress).over(chained([first], frames), sink)
-        warnings.add(bag.warnings, source.warnings, passed.warnings())
+        sink = stack.enter_context(result_sink(ReplayOutput(folder, parameters, names, recorded, total)))
+        statistics = _ReplayRun(total, targets, parameters, recorded, warnings, on_progress).over(
+            chained([first], frames), sink
+        )
+        warnings.add(bag.warnings, source.warnings, statistics.warnings())
         described = Source(
             bags=tuple(str(path) for path in bags),
             truth="" if truth is None else str(truth),
             image_topic=source.image_topic.name,
             camera_info_topic="" if source.camera_info_topic is None else source.camera_info_topic.name,
             camera_info_file=source.camera_info_file,
-            image_size="{} x {}".format(*passed.image_size) if passed.layout else "",
-            layout=passed.layout,
+            image_size="{} x {}".format(*statistics.image_size) if statistics.layout else "",
+            layout=statistics.layout,
         )
         sizes = {target.name: target.size for target in targets}
-        summary = sink.report(Replayed(folder, passed, described, truths, sizes, parameters, warnings.listed()))
+        summary = sink.report(
+            FinishedReplay(folder, statistics, described, truths, sizes, parameters, warnings.listed())
+        )
     warnings.add(summary.warnings)
-    if passed.rejected == passed.frames:
+    if statistics.rejected == statistics.frames:
         raise BagError(
-            f"{described.image_topic}: not one of {passed.frames} frames could be read: {passed.first_reason}"
+            f"{described.image_topic}: not one of {statistics.frames} frames could be read: {statistics.first_reason}"
         )
     return summary
 
 
-class _Warnings:
+class _UniqueWarnings:
     """Passes on each warning once, and keeps all in order."""
 
     def __init__(self, on_warning: Callable[[str], None]) -> None:
@@ -142,7 +144,7 @@ class _Warnings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Run:
+class _ReplayRun:
     """One pass over the frames.
 
     Three work at once, each on another frame: a thread reads and develops, this one runs the chain, the sink writes.
@@ -152,11 +154,11 @@ class _Run:
     targets: tuple[Target, ...]
     parameters: Parameters
     record: tuple[str, ...]
-    warnings: _Warnings
+    warnings: _UniqueWarnings
     on_progress: Callable[[int, int | None], None]
 
     def over(self, frames: Iterator[ReadFrame], sink: ResultSink) -> ReplayStatistics:
-        passed = ReplayStatistics()
+        statistics = ReplayStatistics()
         worker, sizes = Localizer(self.parameters, self.targets), SizeChecks(self.targets)
         with_keypoints = needs_keypoints(self.record)
         start = time.monotonic()
@@ -172,10 +174,10 @@ class _Run:
                 self.warnings.add(sizes.add(result))
                 if result.calibration is not None and result.calibration.warning:
                     self.warnings.add([result.calibration.warning])
-                reason = passed.add(result)
+                reason = statistics.add(result)
                 if reason:
                     self.warnings.add([f"rejected: {reason}"])
-                self.on_progress(passed.frames, self.total or None)
+                self.on_progress(statistics.frames, self.total or None)
                 self.warnings.add(read.warnings)
-        passed.seconds = time.monotonic() - start
-        return passed
+        statistics.seconds = time.monotonic() - start
+        return statistics

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from imgu_ros.config.values import parameter_values
 from imgu_ros.replay.result_files import FRAMES, REPORT, SUMMARY, replay_contents
-from imgu_ros.replay.statistics import Replayed
+from imgu_ros.replay.statistics import FinishedReplay
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.html import write_report
 from imgu_ros.report.samples import Sample
@@ -23,7 +23,7 @@ from imgu_ros.report.table import FrameTable, read_frame_table
 from imgu_ros.report.versions import versions
 
 
-def write_summary_and_report(replayed: Replayed, samples: Sequence[Sample]) -> Summary:
+def write_summary_and_report(replayed: FinishedReplay, samples: Sequence[Sample]) -> Summary:
     """Write both files; the summary's warnings may be more than were known.
 
     Raises
@@ -31,10 +31,10 @@ def write_summary_and_report(replayed: Replayed, samples: Sequence[Sample]) -> S
     FileError
         If frames.csv cannot be read, or a file cannot be written.
     """
-    passed, warnings = replayed.passed, list(replayed.warnings)
+    statistics, warnings = replayed.statistics, list(replayed.warnings)
     comparison = None
-    if replayed.truths and passed.layout:
-        comparison = TruthComparison(replayed.truths, replayed.sizes, passed.image_size, passed.camera)
+    if replayed.truths and statistics.layout:
+        comparison = TruthComparison(replayed.truths, replayed.sizes, statistics.image_size, statistics.camera)
     out = replayed.folder.path
     table = read_frame_table(out / FRAMES, comparison)
     if comparison is not None and not comparison.compared:
@@ -49,22 +49,22 @@ def write_summary_and_report(replayed: Replayed, samples: Sequence[Sample]) -> S
     return summary
 
 
-def _summary(table: FrameTable, replayed: Replayed, warnings: tuple[str, ...]) -> Summary:
-    passed = replayed.passed
+def _summary(table: FrameTable, replayed: FinishedReplay, warnings: tuple[str, ...]) -> Summary:
+    statistics = replayed.statistics
     return Summary(
-        frames=passed.frames,
-        rejected=passed.rejected,
+        frames=statistics.frames,
+        rejected=statistics.rejected,
         rate_in_hz=input_rate_hz(table),
         targets=target_summaries(table),
-        reasons=tuple(passed.reasons.counted()),
+        reasons=tuple(statistics.reasons.counted()),
         warnings=warnings,
         source=replayed.source,
-        frames_per_s=passed.frames / max(passed.seconds, 1e-9),
-        seconds=passed.seconds,
+        frames_per_s=statistics.frames / max(statistics.seconds, 1e-9),
+        seconds=statistics.seconds,
         total_ms=percentiles(table.total_ms[table.frame_rows]),
         stage_ms=stage_percentiles(table),
         versions=versions(),
         seed=replayed.parameters.seed,
         parameters=parameter_values(replayed.parameters),
-        calibration=passed.calibration,
+        calibration=statistics.calibration,
     )

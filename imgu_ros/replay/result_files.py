@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that a replay writes while frames pass: frames.csv, poses, the results bag, and samples for the report."""
+"""The files that a replay writes frame by frame: frames.csv, poses, the results bag; and samples for the report."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from imgu_ros.bags.writing import bag_files, unfinished_bag_files
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.pose_files import AMBIGUOUS_FILE, PoseFiles, trajectory_file
-from imgu_ros.replay.output_folder import Contents, RunFolder
-from imgu_ros.replay.result_items import Files, ResultItem
+from imgu_ros.replay.output_folder import OutputFiles, RunFolder
 from imgu_ros.replay.results_bag import ResultsBag
 from imgu_ros.report.samples import Samples
 from imgu_ros.result import Result
@@ -25,7 +26,35 @@ _PART = f"{RESULTS}.part"
 _UNFINISHED = f"{_PART}/{RESULTS}"
 
 
-def replay_contents(targets: Sequence[str]) -> Contents:
+@dataclass(frozen=True, slots=True, eq=False)
+class ReplayOutput:
+    """What a replay is to write.
+
+    Attributes
+    ----------
+    folder : where
+    parameters : of the replay
+    targets : names
+    record : outputs to record beside those that always are
+    expected : number of frames, as far as it is known
+    """
+
+    folder: RunFolder
+    parameters: Parameters
+    targets: tuple[str, ...]
+    record: tuple[str, ...]
+    expected: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResultItem:
+    """The result of one frame, and when the bag recorded the frame."""
+
+    result: Result
+    time_ns: int
+
+
+def replay_contents(targets: Sequence[str]) -> OutputFiles:
     """Return what a replay with these targets writes."""
     files = (
         FRAMES,
@@ -36,11 +65,11 @@ def replay_contents(targets: Sequence[str]) -> Contents:
         REPORT,
         SUMMARY,
     )
-    return Contents("replay", files, SUMMARY)
+    return OutputFiles("replay", files, SUMMARY)
 
 
 class RowFiles:
-    """Writes the tables, each frame at once: a process that is killed loses none; a context manager.
+    """Writes the tables, each frame immediately: a process that is killed loses none; a context manager.
 
     Parameters
     ----------
@@ -65,9 +94,9 @@ class RowFiles:
 
     def write(self, result: Result) -> None:
         """Write one frame."""
-        self._folder.at_work()
-        self._rows.write(result)
-        self._poses.write(result)
+        with self._folder.writing():
+            self._rows.write(result)
+            self._poses.write(result)
 
 
 class BagFiles:
@@ -80,13 +109,13 @@ class BagFiles:
     samples : some of the frames, drawn
     """
 
-    def __init__(self, files: Files) -> None:
-        self.samples = Samples(files.expected)
+    def __init__(self, output: ReplayOutput) -> None:
+        self.samples = Samples(output.expected)
         self._frames = 0
-        self._folder = files.folder
+        self._folder = output.folder
         self._is_whole = True
         unfinished = self._folder.make(_PART) / RESULTS
-        self._messages = ResultsBag(unfinished, files.parameters, files.targets, files.record)
+        self._messages = ResultsBag(unfinished, output.parameters, output.targets, output.record)
 
     def __enter__(self) -> Self:
         return self
@@ -103,13 +132,13 @@ class BagFiles:
             finally:
                 self._folder.mark_time()
 
-    def write(self, written: ResultItem) -> None:
+    def write(self, item: ResultItem) -> None:
         """Write one frame."""
         try:
-            self._folder.at_work()
-            self._messages.write(written.result, written.time_ns)
+            with self._folder.writing():
+                self._messages.write(item.result, item.time_ns)
         except BaseException:
             self._is_whole = False
             raise
-        self.samples.offer(self._frames, written.result)
+        self.samples.offer(self._frames, item.result)
         self._frames += 1

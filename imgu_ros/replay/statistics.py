@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is remembered of the frames of a replay, and what its report needs beside frames.csv."""
+"""Statistics of the frames of a replay, and what its report needs beside frames.csv."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,11 +11,37 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.files.pose_files import RisingStamps
 from imgu_ros.frame import Frame
 from imgu_ros.replay.output_folder import RunFolder
-from imgu_ros.replay.reason_counts import Reasons
-from imgu_ros.report.summary import Source
+from imgu_ros.report.summary import Reason, Source
 from imgu_ros.result import CalibrationFinding, Result, Status
 from imgu_ros.simulate.truth import Truth
 from imgu_ros.vision.camera.intrinsics import Camera
+
+_MOST_REASONS = 100
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
+
+
+class ReasonCounts:
+    """Counts reasons by status; reasons that differ only in their numbers count as one."""
+
+    def __init__(self) -> None:
+        self._first: dict[tuple[str, str], str] = {}
+        self._count: dict[tuple[str, str], int] = {}
+
+    def add(self, status: str, reason: str) -> bool:
+        """Count one case; return whether it is the first of its kind."""
+        key = (status, _NUMBER.sub("0", reason))
+        if key not in self._first and len(self._first) >= _MOST_REASONS:
+            key, reason = (status, ""), "other reasons"
+        is_new = key not in self._first
+        if is_new:
+            self._first[key] = reason
+        self._count[key] = self._count.get(key, 0) + 1
+        return is_new
+
+    def counted(self) -> Sequence[Reason]:
+        """Return all kinds, the most frequent first, each with its first case's words."""
+        reasons = [Reason(status, self._first[status, kind], n) for (status, kind), n in self._count.items()]
+        return tuple(sorted(reasons, key=lambda reason: (-reason.count, reason.status, reason.reason)))
 
 
 @dataclass(slots=True, eq=False)
@@ -38,7 +65,7 @@ class ReplayStatistics:
     rejected: int = 0
     first_reason: str = ""
     seconds: float = 0.0
-    reasons: Reasons = field(default_factory=Reasons)
+    reasons: ReasonCounts = field(default_factory=ReasonCounts)
     image_size: tuple[int, int] = (0, 0)
     layout: str = ""
     camera: Camera | None = None
@@ -80,13 +107,13 @@ class ReplayStatistics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Replayed:
-    """A replay whose frames have passed.
+class FinishedReplay:
+    """A replay whose frames are all processed.
 
     Attributes
     ----------
     folder : its folder, with a complete frames.csv
-    passed : what is remembered of the frames
+    statistics : of the frames
     source : what was replayed
     truths : of the truth file; empty without one
     sizes : width and height of each target, px
@@ -95,7 +122,7 @@ class Replayed:
     """
 
     folder: RunFolder
-    passed: ReplayStatistics
+    statistics: ReplayStatistics
     source: Source
     truths: Sequence[Truth]
     sizes: Mapping[str, tuple[int, int]]

@@ -13,9 +13,9 @@ import lz4.frame
 import pytest
 
 from imgu_ros.bags import compression
-from imgu_ros.bags.chunks import ChannelRecord, Definitions, Room, SchemaRecord
 from imgu_ros.bags.compression import Expansion, decompressed, decompressed_message, zstd
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.salvage.chunks import ChannelRecord, DefinitionBudget, Definitions, SchemaRecord
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -172,14 +172,14 @@ def test_definitions_of_files_in_one_share_their_room(tmp_path, mcap_parts):
 
 def test_a_text_that_comes_again_takes_no_room():
     texts = [str(i) * 400 for i in range(3)]
-    room = Room(left=3000)
+    budget = DefinitionBudget(left=3000)
     files = [Definitions() for _ in range(3)]
     for definitions in files:
         definitions.define(SchemaRecord(1, "a/msg/B", "ros2msg", texts[0] + ""))
         definitions.define(ChannelRecord(1, 1, "/a", "cdr"))
-        definitions.share(room)
+        definitions.share(budget)
     assert all(definitions.schemas and definitions.channels for definitions in files)
-    assert room.left == 3000 - 400 - 3 * (200 + 7) - 3 * (200 + 2)
+    assert budget.left == 3000 - 400 - 3 * (200 + 7) - 3 * (200 + 2)
     for i in (1, 2, 3):
         files[0].define(SchemaRecord(i, "a/msg/C", "ros2msg", texts[1] if i == 2 else texts[2] * 4))
     assert files[0].schemas.keys() == {1, 2}

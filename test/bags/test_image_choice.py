@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from imgu_ros.bags.image_choice import choose_image_topic
 from imgu_ros.bags.messages import make_message
-from imgu_ros.bags.pictures import recorded_pictures
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.recorded_images import choose_image_topic, recorded_images
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError
@@ -125,7 +124,7 @@ def test_replay_and_calibrate_read_the_same(tmp_path):
         assert source.image_topic.name == "/rgb/image"
         said = "several image topics: reading /rgb/image (rgb8), not /depth/image (16UC1); set -p image_topic:=NAME"
         assert source.warnings == [said]
-        pictures = list(recorded_pictures(bag))
+        pictures = list(recorded_images(bag))
         assert [picture.image.pixels.ndim for picture in pictures] == [3, 3]
         assert [picture.remarks for picture in pictures] == [(said,), ()]
 

@@ -12,9 +12,9 @@ from collections import Counter
 import pytest
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
-from imgu_ros.bags import chunks
 from imgu_ros.bags.reading import open_bag
-from imgu_ros.bags.storage import Part, RawMessage, merge_by_time
+from imgu_ros.bags.salvage import chunks
+from imgu_ros.bags.storage import MessageBlock, RawMessage, merge_by_time
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
@@ -296,7 +296,7 @@ def test_chunks_that_overlap_are_open_together_within_the_limit():
                 yield RawMessage(None, time, b"")
             opened[0] -= 1
 
-        return Part(start, messages, start, 10_000)
+        return MessageBlock(start, messages, start, 10_000)
 
     late = []
     times = [m.time_ns for m in merge_by_time([iter([part(i) for i in range(20)])], 50_000, lambda: late.append(1))]

@@ -16,7 +16,7 @@ import pytest
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.salvage import sqlite_pages
 from imgu_ros.bags.sqlite_file import SqliteFile
-from imgu_ros.bags.storage import Warnings
+from imgu_ros.bags.storage import WarningLog
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -511,7 +511,7 @@ def test_memory_that_a_forged_length_asks_for_is_an_error_of_the_file(tmp_path, 
 
     path = tmp_path / "bag.db3"
     write_sqlite(path, 4, [("/text", "std_msgs/msg/String", "cdr", "", "")], [], [(1, 5, b"\0\1\0\0\2\0\0\0a\0")])
-    whole = SqliteFile(path, "bag.db3", Warnings())
+    whole = SqliteFile(path, "bag.db3", WarningLog())
     database, whole._database = whole._database, Refusing()
     with pytest.raises(sqlite3.DatabaseError, match="more memory"):
         list(whole.execute("SELECT 1"))

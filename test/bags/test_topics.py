@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import pytest
 
-from imgu_ros.bags.reading import Topic
+from imgu_ros.bags.reading import BagTopic
 from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic
 from imgu_ros.errors import BagError, ParameterError
 
 IMAGE = "sensor_msgs/msg/Image"
 INFO = "sensor_msgs/msg/CameraInfo"
 TOPICS = (
-    Topic("/imu", "sensor_msgs/msg/Imu", 100),
-    Topic("/silent/image_raw", IMAGE, 0),
-    Topic("/left/image_raw", IMAGE, 10),
-    Topic("/right/image_raw/compressed", "sensor_msgs/msg/CompressedImage", 10),
-    Topic("/right/camera_info", INFO, 10),
-    Topic("/left/camera_info", INFO, 10),
+    BagTopic("/imu", "sensor_msgs/msg/Imu", 100),
+    BagTopic("/silent/image_raw", IMAGE, 0),
+    BagTopic("/left/image_raw", IMAGE, 10),
+    BagTopic("/right/image_raw/compressed", "sensor_msgs/msg/CompressedImage", 10),
+    BagTopic("/right/camera_info", INFO, 10),
+    BagTopic("/left/camera_info", INFO, 10),
 )
 
 
@@ -33,7 +33,7 @@ def test_the_sibling_camera_info_is_found():
     assert find_camera_info_topic(TOPICS, "/right/image_raw/compressed").name == "/right/camera_info"
     assert find_camera_info_topic(TOPICS, "/silent/image_raw") is None
     assert find_camera_info_topic(TOPICS, "/silent/image_raw", "/left/camera_info").name == "/left/camera_info"
-    root = (Topic("/image_raw", IMAGE, 1), Topic("/camera_info", INFO, 1))
+    root = (BagTopic("/image_raw", IMAGE, 1), BagTopic("/camera_info", INFO, 1))
     assert find_camera_info_topic(root, "/image_raw").name == "/camera_info"
 
 

@@ -7,17 +7,17 @@ import re
 from collections.abc import Collection, Iterator
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.mcap_format import (
+from imgu_ros.bags.salvage.extents import Extent
+from imgu_ros.bags.salvage.mcap_format import (
     COMPRESSIONS,
     HEAD_BYTES,
     MAGIC,
     PREFIX,
     ChunkHeader,
-    Opcode,
+    McapOpcode,
     chunk_header,
     message_head,
 )
-from imgu_ros.bags.stretches import Stretch
 from imgu_ros.errors import BagError
 
 LAST_KNOWN_OPCODE = 0x0F
@@ -38,7 +38,7 @@ _HOUR_NS = 3600 * 10**9
 _CHAINED = 3
 
 
-def mcap_chunks(file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
+def mcap_chunks(file: ByteFile, start: int, end: int) -> Iterator[Extent]:
     """Yield the chunks between two places of a file that are consistent in themselves, one behind the other."""
     for at in chunk_candidates(file, start, end):
         if at < start:
@@ -46,17 +46,17 @@ def mcap_chunks(file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
         head = file.head(at, HEAD_BYTES)
         try:
             _, length = prefix(head)
-            stretch = chunk_at(at, chunk_header(head, length))
+            extent = chunk_at(at, chunk_header(head, length))
         except BagError:
             continue
-        if stretch.end <= end:
-            yield stretch
-            start = stretch.end
+        if extent.end <= end:
+            yield extent
+            start = extent.end
 
 
-def chunk_at(at: int, chunk: ChunkHeader) -> Stretch:
+def chunk_at(at: int, chunk: ChunkHeader) -> Extent:
     """Return the chunk whose record begins at `at`."""
-    return Stretch(
+    return Extent(
         at, at + chunk.data_offset, chunk.compressed_size, chunk.compression, chunk.size, chunk.crc,
         chunk.start_ns, chunk.end_ns,
     )  # fmt: skip
@@ -94,7 +94,7 @@ def _matches(file: ByteFile, start: int, end: int, pattern: re.Pattern[bytes]) -
         size = min(2 * size, _SEARCH_BYTES)
 
 
-def is_record(file: ByteFile, at: int, before: Stretch | None, known: Collection[int]) -> bool:
+def is_record(file: ByteFile, at: int, before: Extent | None, known: Collection[int]) -> bool:
     """Whether a record begins at `at` that is consistent in itself, or followed by others.
 
     Parameters
@@ -108,11 +108,11 @@ def is_record(file: ByteFile, at: int, before: Stretch | None, known: Collection
         end = at + PREFIX.size + length
         if end > file.size:
             return False
-        if opcode == Opcode.CHUNK:
+        if opcode == McapOpcode.CHUNK:
             return chunk_header(head, length).compression in COMPRESSIONS and is_followed(file, end)
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        if opcode in (McapOpcode.SCHEMA, McapOpcode.CHANNEL):
             return _texts_end(file, opcode, at) <= end and is_followed(file, end)
-        if opcode != Opcode.MESSAGE:
+        if opcode != McapOpcode.MESSAGE:
             return is_followed(file, end)
         message = message_head(head, length)
     except BagError:
@@ -130,7 +130,7 @@ def chunk_end(file: ByteFile, at: int) -> int:
     head = file.head(at, HEAD_BYTES)
     try:
         opcode, length = prefix(head)
-        is_chunk = opcode == Opcode.CHUNK and chunk_header(head, length).compression in COMPRESSIONS
+        is_chunk = opcode == McapOpcode.CHUNK and chunk_header(head, length).compression in COMPRESSIONS
     except BagError:
         return 0
     end = at + PREFIX.size + length
@@ -157,7 +157,7 @@ def is_followed(file: ByteFile, end: int, times: int = 1) -> bool:
 
 def _texts_end(file: ByteFile, opcode: int, at: int) -> int:
     """Return where the texts of a definition end, by their own lengths."""
-    at += PREFIX.size + (2 if opcode == Opcode.SCHEMA else 4)
+    at += PREFIX.size + (2 if opcode == McapOpcode.SCHEMA else 4)
     for _ in range(3):
         at += 4 + int.from_bytes(file.head(at, 4), "little")
         if at > file.size:

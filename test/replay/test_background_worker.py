@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from imgu_ros.replay.background_thread import Background
+from imgu_ros.replay.background_worker import BackgroundWorker
 
 
 def alive() -> bool:
@@ -23,7 +23,7 @@ def test_everything_is_done_in_order_and_few_wait():
         time.sleep(0.001)
         done.append(item)
 
-    with Background(work, limit=3) as behind:
+    with BackgroundWorker(work, limit=3) as behind:
         for item in range(50):
             behind.put(item)
             waiting.append(item + 1 - len(done))
@@ -41,7 +41,7 @@ def test_an_error_is_raised_where_items_are_put_and_nothing_is_done_after_it():
             raise OSError(28, "no room")
         done.append(item)
 
-    with pytest.raises(OSError, match="no room"), Background(work) as behind:
+    with pytest.raises(OSError, match="no room"), BackgroundWorker(work) as behind:
         for item in range(1000):
             behind.put(item)
     assert done == [0, 1, 2]
@@ -53,7 +53,7 @@ def test_the_last_items_error_is_not_lost():
         time.sleep(0.01)
         raise ValueError(item)
 
-    with pytest.raises(ValueError, match="1"), Background(work) as behind:
+    with pytest.raises(ValueError, match="1"), BackgroundWorker(work) as behind:
         behind.put(1)
 
 
@@ -65,7 +65,7 @@ def test_after_an_interrupt_what_was_put_is_finished(error: type[BaseException])
         time.sleep(0.005)
         done.append(item)
 
-    with pytest.raises(error), Background(work) as behind:
+    with pytest.raises(error), BackgroundWorker(work) as behind:
         for item in range(4):
             behind.put(item)
         raise error
@@ -77,6 +77,6 @@ def test_the_error_under_way_is_the_one_that_is_reported():
     def work(item: int) -> None:
         raise OSError("second")
 
-    with pytest.raises(KeyboardInterrupt), Background(work) as behind:
+    with pytest.raises(KeyboardInterrupt), BackgroundWorker(work) as behind:
         behind.put(1)
         raise KeyboardInterrupt

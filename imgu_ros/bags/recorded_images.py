@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 
-from imgu_ros.bags.reading import Bag, Topic
+from imgu_ros.bags.reading import Bag, BagTopic
 from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image_topics
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import EncodingError
 from imgu_ros.messages.frame import decode_frame
+from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.image_source import described_encoding
+from imgu_ros.remarks import Remarks
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 
 
@@ -26,7 +29,7 @@ class ImageChoice:
     remark : which it is and which others there are, when it was not named and there are others; else empty
     """
 
-    topic: Topic
+    topic: BagTopic
     remark: str = ""
 
 
@@ -67,6 +70,54 @@ def choose_image_topic(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedImage:
+    """One recorded image.
+
+    Attributes
+    ----------
+    stamp_ns : its header's stamp
+    image : decoded; None when it could not be
+    reason : why it could not be decoded; empty when it was
+    remarks : what people should know of the choice of the topic and of the image, and was not said before
+    """
+
+    stamp_ns: int
+    image: RawImage | None
+    reason: str
+    remarks: tuple[str, ...] = ()
+
+
+def recorded_images(
+    bag: Bag, topic: str = "", encoding: str = "", *, limits: LimitsParameters = DEFAULT_LIMITS
+) -> Iterator[RecordedImage]:
+    """Yield the images of a topic, in the bag's order.
+
+    Parameters
+    ----------
+    bag : open
+    topic : its name; empty: see `choose_image_topic`
+    encoding : what the pixels are, instead of what messages say; empty: what they say
+    limits : what decoding a picture may cost
+
+    Raises
+    ------
+    BagError, ParameterError
+        If there is no such topic; see `choose_image_topic`.
+    """
+    choice = choose_image_topic(bag, topic, encoding, limits=limits)
+    remarks = Remarks()
+    for message in bag.messages([choice.topic.name]):
+        stamp_ns = decode_header(message.message).stamp_ns
+        try:
+            frame = decode_frame(message.message, None, rectified=False, encoding=encoding, limits=limits)
+        except EncodingError as error:
+            yield RecordedImage(stamp_ns, None, str(error), tuple(remarks.news([choice.remark])))
+        else:
+            news = tuple(remarks.news((choice.remark, frame.image.remark)))
+            yield RecordedImage(stamp_ns, frame.image, "", news)
+
+
 #: Messages of a topic that are tried: the first may be damaged.
 _TRIED = 3
 _MOST_LISTED = 8
@@ -92,12 +143,12 @@ _PICTURES = {
 class _Candidate:
     """A topic, what it holds in a word, and its rank: the lowest is read."""
 
-    topic: Topic
+    topic: BagTopic
     content: str
     rank: tuple[object, ...]
 
 
-def _candidate(bag: Bag, topic: Topic, encoding: str, limits: LimitsParameters) -> _Candidate:
+def _candidate(bag: Bag, topic: BagTopic, encoding: str, limits: LimitsParameters) -> _Candidate:
     image: RawImage | None = None
     content = "unreadable"
     for message in islice(bag.messages([topic.name]), _TRIED):

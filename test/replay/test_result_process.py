@@ -28,11 +28,9 @@ from imgu_ros.replay.frame_source import FrameSource
 from imgu_ros.replay.output_folder import output_folder
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
-from imgu_ros.replay.result_files import replay_contents
-from imgu_ros.replay.result_items import Files, ResultItem
-from imgu_ros.replay.result_process import ResultProcess
-from imgu_ros.replay.result_thread import ResultThread
-from imgu_ros.replay.result_writer import serve
+from imgu_ros.replay.result_files import ReplayOutput, ResultItem, replay_contents
+from imgu_ros.replay.result_process import ResultProcess, serve
+from imgu_ros.replay.result_sink import ResultThread
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -63,14 +61,14 @@ def written(bag: Path, parameters: Parameters) -> list[ResultItem]:
 
 @pytest.fixture
 def in_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(result_sink, "_WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(result_sink, "_MIN_FRAMES_FOR_PROCESS", 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
 
 
 @contextmanager
-def files(out: Path, parameters: Parameters, record: tuple[str, ...] = ()) -> Iterator[Files]:
+def files(out: Path, parameters: Parameters, record: tuple[str, ...] = ()) -> Iterator[ReplayOutput]:
     with output_folder(out, replay_contents(["poster"]), overwrite=False) as folder:
-        yield Files(folder, parameters, ("poster",), record, FRAMES)
+        yield ReplayOutput(folder, parameters, ("poster",), record, FRAMES)
 
 
 def untimed(path: Path) -> list[dict[str, str]]:
@@ -94,7 +92,7 @@ def test_the_same_files(
 ) -> None:
     one, other = tmp_path / "process", tmp_path / "thread"
     in_process = replay([bag], one, parameters, truth=bag / "truth.csv")
-    monkeypatch.setattr(result_sink, "_WORTH_A_PROCESS", FRAMES + 1)
+    monkeypatch.setattr(result_sink, "_MIN_FRAMES_FOR_PROCESS", FRAMES + 1)
     in_thread = replay([bag], other, parameters, truth=bag / "truth.csv")
     assert sorted(path.name for path in one.iterdir()) == sorted(path.name for path in other.iterdir())
     assert untimed(one / "frames.csv") == untimed(other / "frames.csv")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from imgu_ros.replay.reason_counts import Reasons
+from imgu_ros.replay.statistics import ReasonCounts
 
 
 def test_reasons_that_differ_in_numbers_count_as_one() -> None:
-    reasons = Reasons()
+    reasons = ReasonCounts()
     assert reasons.add("lost", "7 inliers; need 12")
     assert not reasons.add("lost", "9 inliers; need 12")
     assert reasons.add("degenerate", "7 inliers; need 12")
@@ -16,7 +16,7 @@ def test_reasons_that_differ_in_numbers_count_as_one() -> None:
 
 
 def test_bounded() -> None:
-    reasons = Reasons()
+    reasons = ReasonCounts()
     for i in range(500):
         reasons.add("rejected", "x" * i)
     counted = reasons.counted()

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 
-from imgu_ros.bags.chunks import ChannelRecord, Contents, Definitions, SchemaRecord
+from imgu_ros.bags.salvage.chunks import ChannelRecord, ChunkContents, Definitions, SchemaRecord
 from imgu_ros.bags.storage import Serialization
 from imgu_ros.bags.text import text_of
 from imgu_ros.config.parameters import LimitsParameters
@@ -26,7 +26,7 @@ MAX_HEADER = 2**20
 COMPRESSIONS = {"none": "", "bz2": "bz2", "lz4": "lz4"}
 
 
-class Opcode(IntEnum):
+class Rosbag1Opcode(IntEnum):
     """Record types."""
 
     MESSAGE = 2
@@ -35,6 +35,9 @@ class Opcode(IntEnum):
     CHUNK = 5
     CHUNK_INFO = 6
     CONNECTION = 7
+
+
+_NOT_IN_CHUNKS = (Rosbag1Opcode.BAG_HEADER, Rosbag1Opcode.CHUNK, Rosbag1Opcode.INDEX, Rosbag1Opcode.CHUNK_INFO)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +72,9 @@ class RecordHeader:
         return (value & 0xFFFFFFFF) * 10**9 + (value >> 32)
 
 
-def rosbag1_contents(data: memoryview, limits: LimitsParameters, most: int) -> Contents:
+def rosbag1_contents(data: memoryview, limits: LimitsParameters, most: int) -> ChunkContents:
     """Parse the records of a chunk's data, until one does not hold, or there are more than `most` messages."""
-    found = Contents()
+    found = ChunkContents()
     at = 0
     while at < len(data):
         try:
@@ -86,14 +89,19 @@ def rosbag1_contents(data: memoryview, limits: LimitsParameters, most: int) -> C
             break
         with suppress(BagError):  # a record without what its type needs costs itself alone
             opcode = header.opcode
-            if opcode == Opcode.MESSAGE:
+            if opcode == Rosbag1Opcode.MESSAGE:
                 if len(found.times) >= most:
                     found.end_with(most)
                     break
                 found.add(header.number("conn"), header.time_ns(), start, end)
-            elif opcode == Opcode.CONNECTION:
+            elif opcode == Rosbag1Opcode.CONNECTION:
                 define(found.definitions, header, data[start:end], limits)
-            elif opcode in (Opcode.BAG_HEADER, Opcode.CHUNK, Opcode.INDEX, Opcode.CHUNK_INFO):
+            elif opcode in (
+                Rosbag1Opcode.BAG_HEADER,
+                Rosbag1Opcode.CHUNK,
+                Rosbag1Opcode.INDEX,
+                Rosbag1Opcode.CHUNK_INFO,
+            ):
                 found.note_foreign(at)
         at = end
     found.size = at

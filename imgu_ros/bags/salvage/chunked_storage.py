@@ -11,17 +11,17 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChannelRecord, ChunkFormat, ChunkIndex, Contents
 from imgu_ros.bags.compression import Expansion, check_message_size, decompressed
+from imgu_ros.bags.salvage.chunks import ChannelRecord, ChunkContents, ChunkFormat, ChunkIndex
+from imgu_ros.bags.salvage.extents import Extent
 from imgu_ros.bags.storage import (
     Channel,
-    Part,
+    MessageBlock,
     RawMessage,
-    Warnings,
+    WarningLog,
     seconds,
     serialization_named,
 )
-from imgu_ros.bags.stretches import Stretch
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -50,7 +50,7 @@ class ChunkedStorage:
         self,
         file: ByteFile,
         name: str,
-        warnings: Warnings,
+        warnings: WarningLog,
         index: ChunkIndex,
         form: ChunkFormat,
         limits: LimitsParameters = DEFAULT_LIMITS,
@@ -58,7 +58,7 @@ class ChunkedStorage:
     ) -> None:
         self._file, self._name, self._warnings = file, name, warnings
         self._index, self._form, self._limits = index, form, limits
-        self._table, self._definitions = index.stretches, index.definitions
+        self._table, self._definitions = index.extents, index.definitions
         self._cut_at = next((gap.start for gap in index.gaps[-1:] if gap.end == file.size), -1)
         self._search_left = _SEARCH_FACTOR * file.size + _SEARCH_BYTES
         self._sought: set[int] = set()
@@ -67,11 +67,11 @@ class ChunkedStorage:
         self._expansion = expansion or Expansion(limits)
         self._too_much = self._beyond_expansion()
         self._most: dict[int, int] = {}
-        is_promised = self._is_as_promised()
+        is_as_declared = self._is_as_declared()
         is_damaged = index.is_doubtful or any(gap.end < file.size for gap in index.gaps)
-        everything = is_damaged or (index.promise is not None and not is_promised)
+        everything = is_damaged or (index.declared is not None and not is_as_declared)
         self._count(everything)
-        self._is_sure = everything or is_promised
+        self._is_sure = everything or is_as_declared
         self._definitions.take(index.summary)
         self._by_id = {identity: self._channel(record) for identity, record in self._definitions.channels.items()}
         self._totals = self._table.totals()
@@ -88,14 +88,14 @@ class ChunkedStorage:
                 totals[self._by_id[identity]] += count
         return totals
 
-    def parts(self, topics: Collection[str] | None) -> Iterator[Part]:
+    def parts(self, topics: Collection[str] | None) -> Iterator[MessageBlock]:
         """Yield the chunks with messages of `topics` (None: all), in the order of their beginning."""
         wanted = self._wanted(topics).keys()
         self._warn_of_lost(self._totals.keys() - self._by_id.keys())
         for index in self._table.by_time():
-            stretch = self._table[index]
-            if not (self._is_sure and wanted.isdisjoint(stretch.counts)):
-                yield Part(stretch.start_ns, partial(self._messages_of, stretch, topics), index, stretch.size)
+            extent = self._table[index]
+            if not (self._is_sure and wanted.isdisjoint(extent.counts)):
+                yield MessageBlock(extent.start_ns, partial(self._messages_of, extent, topics), index, extent.size)
 
     def close(self) -> None:
         """Close the file."""
@@ -105,59 +105,59 @@ class ChunkedStorage:
         """Return the chunks, by offset, that become more bytes than the limit allows."""
         refused: set[int] = set()
         for index in self._table.expanded(self._limits.expansion, 1_000_000 * self._limits.message_mb):
-            stretch = self._table[index]
+            extent = self._table[index]
             try:
-                self._expansion.take(stretch.data_size, stretch.size)
+                self._expansion.take(extent.data_size, extent.size)
             except BagError:
-                refused.add(stretch.offset)
+                refused.add(extent.offset)
         return refused
 
-    def _is_as_promised(self) -> bool:
+    def _is_as_declared(self) -> bool:
         """Whether the file's statistics are there, and agree with the indexes of its chunks."""
-        promise, index = self._index.promise, self._index
-        if promise is None or promise.chunks < 0:  # a list of chunks alone tells of no message
+        declared, index = self._index.declared, self._index
+        if declared is None or declared.chunks < 0:  # a list of chunks alone tells of no message
             return False
         counts = self._table.totals()
         return (
-            promise.messages in (-1, sum(counts.values()))
-            and (not promise.counts or promise.counts == counts)
-            and promise.chunks in (-1, index.chunks)
-            and promise.listed_chunks in (-1, 0, index.chunks)
-            and (promise.start_ns, promise.end_ns) in ((-1, -1), self._table.span())
+            declared.messages in (-1, sum(counts.values()))
+            and (not declared.counts or declared.counts == counts)
+            and declared.chunks in (-1, index.chunks)
+            and declared.listed_chunks in (-1, 0, index.chunks)
+            and (declared.start_ns, declared.end_ns) in ((-1, -1), self._table.span())
         )
 
     def _count(self, everything: bool) -> None:
         """Read the chunks that nothing tells of, or all; chunks that are found in damaged ones are read too."""
         known, index = self._definitions.channels.keys(), len(self._table)
         for candidate in self._table.chunks() if everything else self._table.uncounted(known):
-            stretch = self._table[candidate]
-            if everything or not (stretch.is_counted and stretch.counts and stretch.counts.keys() <= known):
-                self._examine(candidate, stretch)
+            extent = self._table[candidate]
+            if everything or not (extent.is_counted and extent.counts and extent.counts.keys() <= known):
+                self._examine(candidate, extent)
         while index < len(self._table):
             self._examine(index, self._table[index])
             index += 1
 
-    def _examine(self, index: int, stretch: Stretch) -> None:
-        contents, _ = self._contents(stretch)
-        promised = sum(stretch.counts.values()) if stretch.is_counted else -1
-        stretch.counts, stretch.is_counted = contents.counts(), True
-        self._warn_of_count(stretch, promised, contents)
+    def _examine(self, index: int, extent: Extent) -> None:
+        contents, _ = self._contents(extent)
+        declared = sum(extent.counts.values()) if extent.is_counted else -1
+        extent.counts, extent.is_counted = contents.counts(), True
+        self._warn_of_count(extent, declared, contents)
         if contents.times:
             times = np.frombuffer(contents.times, np.int64)
-            stretch.start_ns, stretch.end_ns = int(times.min()), int(times.max())
-        self._table.replace(index, stretch)
+            extent.start_ns, extent.end_ns = int(times.min()), int(times.max())
+        self._table.replace(index, extent)
         if contents.damage or contents.foreign_at >= 0:
-            self._search(stretch, contents)
+            self._search(extent, contents)
 
-    def _search(self, stretch: Stretch, contents: Contents) -> None:
+    def _search(self, extent: Extent, contents: ChunkContents) -> None:
         """Look for whole chunks in one that is damaged, or was never one."""
         if not self._sought:
             self._sought = {known.offset for known in self._table}
-        is_read = stretch.compression == "" and len(contents.times)
+        is_read = extent.compression == "" and len(contents.times)
         read = contents.size if contents.foreign_at < 0 else contents.foreign_at
-        start = stretch.data_offset + read if is_read else stretch.offset + 1
+        start = extent.data_offset + read if is_read else extent.offset + 1
         try:
-            for found in self._form.search(self._file, start, min(stretch.end, self._file.size)):
+            for found in self._form.search(self._file, start, min(extent.end, self._file.size)):
                 self._search_left -= found.data_size + found.size
                 if self._search_left < 0:
                     self._warnings.add(f"{self._name}: so much of it is damaged that not all of it is looked through")
@@ -166,7 +166,7 @@ class ChunkedStorage:
                     self._sought.add(found.offset)
                     self._table.append(found)
         except BagError as error:
-            self._warn_of_chunk(stretch, str(error))
+            self._warn_of_chunk(extent, str(error))
 
     def _channel(self, record: ChannelRecord) -> Channel:
         schema = self._definitions.schemas.get(record.schema_id)
@@ -179,9 +179,9 @@ class ChunkedStorage:
     def _wanted(self, topics: Collection[str] | None) -> dict[int, Channel]:
         return {i: channel for i, channel in self._by_id.items() if topics is None or channel.topic in topics}
 
-    def _messages_of(self, stretch: Stretch, topics: Collection[str] | None) -> Iterator[RawMessage]:
-        contents, data = self._contents(stretch)
-        self._check(stretch, contents)
+    def _messages_of(self, extent: Extent, topics: Collection[str] | None) -> Iterator[RawMessage]:
+        contents, data = self._contents(extent)
+        self._check(extent, contents)
         wanted = self._wanted(topics)
         channels, times = contents.channels, contents.times
         for index in contents.in_order():
@@ -189,88 +189,88 @@ class ChunkedStorage:
             if channel is not None:
                 yield RawMessage(channel, times[index], contents.bytes_of(index, data))
 
-    def _check(self, stretch: Stretch, contents: Contents) -> None:
-        """Compare a chunk with what its index promised; take the channels that no index knew."""
+    def _check(self, extent: Extent, contents: ChunkContents) -> None:
+        """Compare a chunk with what its index declared; take the channels that no index knew."""
         counts = contents.counts()
-        if counts != stretch.counts:
-            self._warn_of_count(stretch, sum(stretch.counts.values()), contents)
+        if counts != extent.counts:
+            self._warn_of_count(extent, sum(extent.counts.values()), contents)
             self._definitions.take(contents.definitions)
             for identity in counts.keys() - self._by_id.keys():
                 if identity in self._definitions.channels:
                     self._by_id[identity] = self._channel(self._definitions.channels[identity])
         self._warn_of_lost(counts.keys() - self._by_id.keys())
 
-    def _contents(self, stretch: Stretch) -> tuple[Contents, memoryview]:
+    def _contents(self, extent: Extent) -> tuple[ChunkContents, memoryview]:
         """Return what is in a chunk, and its data; of a damaged one what can be had, with a warning."""
         try:
-            data = self._data(stretch)
+            data = self._data(extent)
         except BagError as error:
-            self._warn_of_chunk(stretch, str(error))
-            return Contents(damage=str(error)), memoryview(b"")
+            self._warn_of_chunk(extent, str(error))
+            return ChunkContents(damage=str(error)), memoryview(b"")
         # Of a chunk that is read again, as many as the first time.
-        most = self._most.get(stretch.offset, self._expansion.most_messages(stretch.data_size))
+        most = self._most.get(extent.offset, self._expansion.most_messages(extent.data_size))
         contents = self._form.contents(data, self._limits, most)
-        if stretch.offset not in self._most:
+        if extent.offset not in self._most:
             count = len(contents.times)
-            if self._expansion.take_messages(stretch.data_size, count):
-                self._most[stretch.offset] = count
-        is_right = not stretch.crc or zlib.crc32(data) == stretch.crc
+            if self._expansion.take_messages(extent.data_size, count):
+                self._most[extent.offset] = count
+        is_right = not extent.crc or zlib.crc32(data) == extent.crc
         if contents.damage:
-            self._warn_of_chunk(stretch, contents.damage)
+            self._warn_of_chunk(extent, contents.damage)
         elif contents.foreign_at >= 0:
-            self._warn_of_chunk(stretch, f"record at byte {contents.foreign_at} is none of a chunk's")
+            self._warn_of_chunk(extent, f"record at byte {contents.foreign_at} is none of a chunk's")
         elif not is_right:
-            self._warn_of_chunk(stretch, "its checksum differs: what is in it may be wrong")
+            self._warn_of_chunk(extent, "its checksum differs: what is in it may be wrong")
         (self._definitions if is_right else self._index.summary).take(contents.definitions)
         return contents, data
 
-    def _data(self, stretch: Stretch) -> memoryview:
-        check_message_size(stretch.data_size, self._limits)
-        if stretch.offset in self._too_much:
+    def _data(self, extent: Extent) -> memoryview:
+        check_message_size(extent.data_size, self._limits)
+        if extent.offset in self._too_much:
             raise BagError(
-                f"{stretch.data_size} bytes become {stretch.size}; need at most {self._limits.expansion} times as many "
+                f"{extent.data_size} bytes become {extent.size}; need at most {self._limits.expansion} times as many "
                 "(limits.expansion)"
             )
-        packed = self._file.read(stretch.data_offset, stretch.data_size)
-        spare = self._expansion.spare(stretch.data_size)
+        packed = self._file.read(extent.data_offset, extent.data_size)
+        spare = self._expansion.spare(extent.data_size)
         unannounced = spare  # whatever a decompressor did before it found them to be too many
         try:
-            data = decompressed(packed, stretch.compression, stretch.size, self._limits, spare)
-            unannounced = max(0, len(data) - stretch.size)
+            data = decompressed(packed, extent.compression, extent.size, self._limits, spare)
+            unannounced = max(0, len(data) - extent.size)
         finally:
-            self._expansion.take(stretch.data_size, unannounced)
-        if len(data) != stretch.size:
-            self._warn_of_chunk(stretch, f"it announces {stretch.size} bytes; it has {len(data)}")
+            self._expansion.take(extent.data_size, unannounced)
+        if len(data) != extent.size:
+            self._warn_of_chunk(extent, f"it announces {extent.size} bytes; it has {len(data)}")
         return data
 
     def _compare(self) -> None:
         """Say where the file promises something else than it has."""
-        promise = self._index.promise
-        if promise is None:
+        declared = self._index.declared
+        if declared is None:
             return
         messages, chunks = sum(self._totals.values()), self._index.chunks
-        if promise.messages not in (-1, messages):
+        if declared.messages not in (-1, messages):
             self._warnings.add(
-                f"{self._name}: {promise.messages} messages by its {promise.source}; {messages} are there"
+                f"{self._name}: {declared.messages} messages by its {declared.source}; {messages} are there"
             )
-        elif promise.counts and promise.counts != self._totals:
+        elif declared.counts and declared.counts != self._totals:
             self._warnings.add(
-                f"{self._name}: its {promise.source} announces other numbers of messages for some topics"
+                f"{self._name}: its {declared.source} announces other numbers of messages for some topics"
             )
-        if promise.chunks not in (-1, chunks):
-            self._warnings.add(f"{self._name}: {promise.chunks} chunks by its {promise.source}; {chunks} are there")
-        elif promise.listed_chunks not in (-1, 0, chunks):
+        if declared.chunks not in (-1, chunks):
+            self._warnings.add(f"{self._name}: {declared.chunks} chunks by its {declared.source}; {chunks} are there")
+        elif declared.listed_chunks not in (-1, 0, chunks):
             self._warnings.add(
-                f"{self._name}: {promise.listed_chunks} chunks in its list of chunks; {chunks} are there"
+                f"{self._name}: {declared.listed_chunks} chunks in its list of chunks; {chunks} are there"
             )
 
-    def _warn_of_count(self, stretch: Stretch, promised: int, contents: Contents) -> None:
-        if promised < 0 or contents.damage:
+    def _warn_of_count(self, extent: Extent, declared: int, contents: ChunkContents) -> None:
+        if declared < 0 or contents.damage:
             return
         there = len(contents.times)
-        if promised != there:
+        if declared != there:
             self._warnings.add(
-                f"{self._name}: chunk at byte {stretch.offset}: its index promises {promised} messages; it has {there}",
+                f"{self._name}: chunk at byte {extent.offset}: its index promises {declared} messages; it has {there}",
                 kind=f"{self._name}: wrong indexes",
             )
 
@@ -280,11 +280,11 @@ class ChunkedStorage:
                 f"{self._name}: the definitions of {len(lost)} channels are lost, their messages skipped"
             )
 
-    def _warn_of_chunk(self, stretch: Stretch, reason: str) -> None:
-        if stretch.offset == self._cut_at:
+    def _warn_of_chunk(self, extent: Extent, reason: str) -> None:
+        if extent.offset == self._cut_at:
             return  # cut by the end of the file, which is said as such
         self._warnings.add(
-            f"{self._name}: chunk at byte {stretch.offset} ({seconds(stretch.start_ns)} to {seconds(stretch.end_ns)}) "
+            f"{self._name}: chunk at byte {extent.offset} ({seconds(extent.start_ns)} to {seconds(extent.end_ns)}) "
             f"is damaged, what cannot be read of it is skipped: {reason}",
             kind=f"{self._name}: damaged chunks",
         )
@@ -306,5 +306,5 @@ class ChunkedStorage:
 
     def _until(self, offset: int) -> str:
         """Return the time of the last message that begins until `offset`."""
-        ends = [stretch.end_ns for stretch in self._table if stretch.offset <= offset]
+        ends = [extent.end_ns for extent in self._table if extent.offset <= offset]
         return seconds(max(ends)) if ends else "nowhere (no message before)"

@@ -12,13 +12,13 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from imgu_ros.bags.salvage.sqlite_pages import SqlitePages
-from imgu_ros.bags.sqlite_file import Column, SqliteFile
+from imgu_ros.bags.sqlite_file import SqliteFile, TableColumn
 from imgu_ros.bags.storage import (
     MAX_TIME_NS,
     Channel,
-    Part,
+    MessageBlock,
     RawMessage,
-    Warnings,
+    WarningLog,
     seconds,
     serialization_named,
 )
@@ -47,7 +47,7 @@ class SqliteStorage:
         If the file cannot be opened, is no SQLite file, or has not rosbag2's tables.
     """
 
-    def __init__(self, path: Path, name: str, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
+    def __init__(self, path: Path, name: str, warnings: WarningLog, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
         self._path, self._name, self._warnings, self._limits = path, name, warnings, limits
         self._is_sorted = self._is_damaged = self._is_walked = False
         self._pages: SqlitePages | None = None
@@ -77,9 +77,9 @@ class SqliteStorage:
                 totals[self._by_id[identity]] += count
         return totals
 
-    def parts(self, topics: Collection[str] | None) -> Iterator[Part]:
+    def parts(self, topics: Collection[str] | None) -> Iterator[MessageBlock]:
         """Yield one part: all messages of `topics` (None: all)."""
-        yield Part(self.start_ns, partial(self.messages, topics))
+        yield MessageBlock(self.start_ns, partial(self.messages, topics))
 
     def messages(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
         """Yield the messages of `topics` (None: all) in time order."""
@@ -105,7 +105,7 @@ class SqliteStorage:
         if self._pages is not None:
             self._pages.close()
 
-    def _key_of_messages(self, tables: dict[str, tuple[Column, ...]]) -> str:
+    def _key_of_messages(self, tables: dict[str, tuple[TableColumn, ...]]) -> str:
         """Return by which column rows are found; check what the table is made of."""
         for missing in [name for name in ("topics", "messages") if name not in tables]:
             raise BagError(f"{self._path}: no table {missing!r}; need rosbag2's tables topics and messages")
@@ -121,7 +121,7 @@ class SqliteStorage:
             raise BagError(f"{self._path}: messages has computed columns; need recorded messages")
         return "id" if columns[0].is_key else "rowid"
 
-    def _channels(self, tables: dict[str, tuple[Column, ...]]) -> dict[int, Channel]:
+    def _channels(self, tables: dict[str, tuple[TableColumn, ...]]) -> dict[int, Channel]:
         schemas = self._schemas(tables)
         channels: dict[int, Channel] = {}
         wanted = ("id", "name", "type", "serialization_format", "type_description_hash")
@@ -135,7 +135,7 @@ class SqliteStorage:
                 )
         return channels
 
-    def _schemas(self, tables: dict[str, tuple[Column, ...]]) -> dict[tuple[str, str], tuple[str, str]]:
+    def _schemas(self, tables: dict[str, tuple[TableColumn, ...]]) -> dict[tuple[str, str], tuple[str, str]]:
         """Return format and text of the definitions by type and by the type's hash; without a hash, the first counts.
 
         Types of two packages' versions have one name; whatever is wrong with this table, the messages are there.
@@ -156,7 +156,7 @@ class SqliteStorage:
                 schemas.setdefault((_text(name), given), definition)
         return schemas
 
-    def _texts(self, table: str, columns: Sequence[Column], wanted: Sequence[str]) -> Iterator[tuple[object, ...]]:
+    def _texts(self, table: str, columns: Sequence[TableColumn], wanted: Sequence[str]) -> Iterator[tuple[object, ...]]:
         """Yield the rows of a small table, None for columns that are not there; what cannot be read is said."""
         if not columns:
             return

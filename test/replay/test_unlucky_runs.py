@@ -41,7 +41,7 @@ import os, signal, sys
 from pathlib import Path
 from imgu_ros.replay import result_sink
 from imgu_ros.cli import main, progress
-result_sink._WORTH_A_PROCESS, os.sched_getaffinity = 1, lambda pid: {0, 1}
+result_sink._MIN_FRAMES_FOR_PROCESS, os.sched_getaffinity = 1, lambda pid: {0, 1}
 
 def children():
     return [int(pid) for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()]
@@ -190,7 +190,7 @@ def test_rows_are_there_before_the_next_frame(
     bag: Path, parameters: Parameters, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_a_process: bool
 ) -> None:
     if in_a_process:
-        monkeypatch.setattr(result_sink, "_WORTH_A_PROCESS", 1)
+        monkeypatch.setattr(result_sink, "_MIN_FRAMES_FOR_PROCESS", 1)
         monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     out = tmp_path / "out"
 

@@ -12,15 +12,16 @@ import struct
 import zlib
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, Promise, walked_files
-from imgu_ros.bags.mcap_format import (
+from imgu_ros.bags.salvage.chunks import ChunkFormat, ChunkIndex, DeclaredContents, Gap, walked_files
+from imgu_ros.bags.salvage.extents import Extent
+from imgu_ros.bags.salvage.mcap_format import (
     COMPRESSION_LENGTHS,
     COMPRESSIONS,
     HEAD_BYTES,
     MAGIC,
     PREFIX,
     ChunkHeader,
-    Opcode,
+    McapOpcode,
     chunk_header,
     chunk_length,
     definition_record,
@@ -40,12 +41,11 @@ from imgu_ros.bags.salvage.mcap_search import (
     mcap_chunks,
     prefix,
 )
-from imgu_ros.bags.stretches import Stretch
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
-#: Messages outside of chunks are read in stretches of about this size.
-_STRETCH_BYTES = 2**22
+#: Messages outside of chunks are read in extents of about this size.
+_EXTENT_BYTES = 2**22
 _BLOCK_BYTES = 2**20
 #: Enough for the counts of every channel that there can be.
 _STATISTICS_BYTES = 2**20
@@ -70,7 +70,7 @@ def index_mcap(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
         raise BagError(f"{file.path}: begins with {magic.hex()}; need {MAGIC.hex()} (MCAP)")
 
     def walked(at: int) -> tuple[ChunkIndex, int]:
-        walk = _Walk(file, at, limits)
+        walk = _McapWalk(file, at, limits)
         return walk.found, walk.over(at)
 
     return walked_files(walked, len(MAGIC))
@@ -79,12 +79,12 @@ def index_mcap(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
 MCAP = ChunkFormat(index_mcap, mcap_contents, mcap_chunks)
 
 
-class _Walk:
+class _McapWalk:
     def __init__(self, file: ByteFile, at: int, limits: LimitsParameters) -> None:
         self.file, self.limits = file, limits
         self.found = ChunkIndex()
-        self.last: Stretch | None = None  # not yet in the table
-        self.before: Stretch | None = None  # the last one in the table
+        self.last: Extent | None = None  # not yet in the table
+        self.before: Extent | None = None  # the last one in the table
         self.sure = at  # a search for the next record starts behind it: what is before has the right length
         self.is_cut_chunk = False
         self.is_data = True
@@ -99,9 +99,9 @@ class _Walk:
                 at = self.next_record(at)
             except BagError as error:
                 at = self.stepped_over(at, error) or self.recovered(at)
-        self.close_stretch()
-        if self.found.promise is None and self.listed_chunks and self.found.is_complete:
-            self.found.promise = Promise("list of chunks", listed_chunks=self.listed_chunks)
+        self.close_extent()
+        if self.found.declared is None and self.listed_chunks and self.found.is_complete:
+            self.found.declared = DeclaredContents("list of chunks", listed_chunks=self.listed_chunks)
         return self.next_file
 
     def next_record(self, at: int) -> int:
@@ -112,32 +112,32 @@ class _Walk:
         opcode, length = prefix(head)
         end = at + PREFIX.size + length
         if end > self.file.size:
-            if opcode == Opcode.CHUNK:
+            if opcode == McapOpcode.CHUNK:
                 self.take_cut_chunk(at, chunk_header(head, length))
                 self.sure, self.is_cut_chunk = at, True
             raise BagError(f"record of {length} bytes at byte {at} reaches beyond the end")
         sure = at
-        if opcode == Opcode.MESSAGE and not (self.starts_run(at) and self.is_disguised_chunk(at, head, length)):
+        if opcode == McapOpcode.MESSAGE and not (self.starts_run(at) and self.is_disguised_chunk(at, head, length)):
             self.take_message(at, end, head)
-        elif opcode == Opcode.MESSAGE_INDEX:
+        elif opcode == McapOpcode.MESSAGE_INDEX:
             self.take_message_index(*index_head(head, length))
             sure = end
-        elif opcode == Opcode.CHUNK or self.is_disguised_chunk(at, head, length):
+        elif opcode == McapOpcode.CHUNK or self.is_disguised_chunk(at, head, length):
             sure = self.take_chunk(at, chunk_header(head, length))
         else:
-            self.close_stretch()
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self.close_extent()
+            if opcode in (McapOpcode.SCHEMA, McapOpcode.CHANNEL):
                 self.take_definition(at, opcode, length)
-            elif opcode == Opcode.STATISTICS:
+            elif opcode == McapOpcode.STATISTICS:
                 self.take_statistics(at + PREFIX.size, length)
-            elif opcode == Opcode.CHUNK_INDEX:
+            elif opcode == McapOpcode.CHUNK_INDEX:
                 self.listed_chunks += 1
-            elif opcode == Opcode.DATA_END and length == _DATA_END_BYTES:
+            elif opcode == McapOpcode.DATA_END and length == _DATA_END_BYTES:
                 self.is_data, self.summary_start = False, end
                 sure = end
-            elif opcode == Opcode.FOOTER and length == _FOOTER.size:
+            elif opcode == McapOpcode.FOOTER and length == _FOOTER.size:
                 sure = end = self.take_footer(at, end)
-            elif opcode == Opcode.FOOTER:
+            elif opcode == McapOpcode.FOOTER:
                 self.remark(f"the record at byte {at} has the type of a footer, and another length: read on behind it")
             elif LAST_KNOWN_OPCODE < opcode < _FIRST_PRIVATE_OPCODE and not is_followed(self.file, end):
                 raise BagError(f"unknown opcode {opcode}")
@@ -148,7 +148,7 @@ class _Walk:
     def take_magic(self, at: int) -> int:
         """Take a file's beginning: of another file, when it has a header and this one has had something."""
         self.sure = at + len(MAGIC)
-        has_header = self.file.head(self.sure, 1) == bytes([Opcode.HEADER])
+        has_header = self.file.head(self.sure, 1) == bytes([McapOpcode.HEADER])
         if has_header and (self.found.chunks or self.found.definitions.channels or self.last or self.before):
             self.next_file = self.sure
         self.remark(f"a file begins at byte {at}: read on")
@@ -160,7 +160,7 @@ class _Walk:
         if len(head) < PREFIX.size or not head[0]:
             return 0
         length: int = PREFIX.unpack_from(head)[1]
-        own = chunk_length(head) if head[0] == Opcode.CHUNK else 0
+        own = chunk_length(head) if head[0] == McapOpcode.CHUNK else 0
         if own and is_followed(self.file, at + PREFIX.size + own):
             length = own  # its other sizes are right
         end = at + PREFIX.size + length
@@ -168,7 +168,7 @@ class _Walk:
             return 0
         self.sure = at
         try:
-            if head[0] == Opcode.CHUNK or self.is_disguised_chunk(at, head, length):
+            if head[0] == McapOpcode.CHUNK or self.is_disguised_chunk(at, head, length):
                 self.take_chunk(at, chunk_header(head, length, is_sure=True))
                 self.remark(f"the chunk at byte {at} has wrong sizes: read as far as the next record")
                 return end
@@ -181,7 +181,7 @@ class _Walk:
 
     def take_chunk(self, at: int, header: ChunkHeader) -> int:
         chunk = chunk_at(at, header)
-        self.close_stretch()
+        self.close_extent()
         self.last = chunk
         self.found.chunks += 1
         return chunk.end
@@ -190,9 +190,9 @@ class _Walk:
         """Keep what is there of an uncompressed chunk that the file's end cuts."""
         start = at + chunk.data_offset
         if chunk.compression == "" and start < self.file.size:
-            self.close_stretch()
+            self.close_extent()
             size = self.file.size - start
-            self.last = Stretch(at, start, size, "", size, 0, chunk.start_ns, chunk.end_ns)
+            self.last = Extent(at, start, size, "", size, 0, chunk.start_ns, chunk.end_ns)
 
     def starts_run(self, at: int) -> bool:
         return self.last is None or not self.last.is_run or self.last.end != at
@@ -203,9 +203,9 @@ class _Walk:
             return
         channel_id, time_ns = message
         run = self.last
-        if run is None or self.starts_run(at) or end - run.offset > _STRETCH_BYTES:
-            self.close_stretch()
-            run = self.last = Stretch(at, at, 0, "", 0, 0, time_ns, time_ns, is_counted=True)
+        if run is None or self.starts_run(at) or end - run.offset > _EXTENT_BYTES:
+            self.close_extent()
+            run = self.last = Extent(at, at, 0, "", 0, 0, time_ns, time_ns, is_counted=True)
         run.size = run.data_size = end - run.offset
         run.start_ns, run.end_ns = min(run.start_ns, time_ns), max(run.end_ns, time_ns)
         run.counts[channel_id] = run.counts.get(channel_id, 0) + 1
@@ -232,7 +232,7 @@ class _Walk:
     def take_statistics(self, start: int, length: int) -> None:
         try:
             content = self.file.read(start, min(length, _STATISTICS_BYTES))
-            self.found.promise = statistics(content, self.listed_chunks)
+            self.found.declared = statistics(content, self.listed_chunks)
         except BagError as error:
             self.remark(f"its statistics cannot be read: {error}")
             self.found.is_doubtful = True
@@ -268,10 +268,10 @@ class _Walk:
             self.remark("the checksum of its summary differs: what it says is compared with the data")
             self.found.is_doubtful = True
 
-    def close_stretch(self) -> None:
+    def close_extent(self) -> None:
         """Put what is complete into the table; a chunk without data has no message."""
         if self.last is not None and self.last.data_size:
-            self.found.stretches.append(self.last)
+            self.found.extents.append(self.last)
             self.before = self.last
         self.last = None
 
@@ -296,7 +296,7 @@ class _Walk:
         start, find = self.sure, chunk_candidates if self.is_cut_chunk else candidates
         self.is_cut_chunk = False
         head = self.file.head(broken, HEAD_BYTES)
-        if len(head) >= PREFIX.size and head[0] != Opcode.CHUNK:
+        if len(head) >= PREFIX.size and head[0] != McapOpcode.CHUNK:
             length: int = PREFIX.unpack_from(head)[1]
             end = broken + PREFIX.size + length
             if end <= self.file.size and self.is_disguised_chunk(broken, head, length):
@@ -304,7 +304,7 @@ class _Walk:
                 return end
         if self.last is not None and not self.last.is_run:
             self.last.is_counted = False  # its message indexes may be among what is broken
-        self.close_stretch()
+        self.close_extent()
         at, lone_end = self.file.size, self.file.size
         for place in find(self.file, start + 1, self.file.size):
             if place >= lone_end:

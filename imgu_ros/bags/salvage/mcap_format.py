@@ -11,14 +11,14 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from imgu_ros.bags.chunks import ChannelRecord, Contents, Promise, SchemaRecord
+from imgu_ros.bags.salvage.chunks import ChannelRecord, ChunkContents, DeclaredContents, SchemaRecord
 from imgu_ros.bags.storage import MAX_TIME_NS
 from imgu_ros.bags.text import text_of
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
-#: Opcode and length, before every record's content.
+#: McapOpcode and length, before every record's content.
 PREFIX = struct.Struct("<BQ")
 #: Enough of a record to hold everything of a chunk but its data, and the first entry of an index.
 HEAD_BYTES = PREFIX.size + 64
@@ -36,7 +36,7 @@ _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 
 
-class Opcode(IntEnum):
+class McapOpcode(IntEnum):
     """Record types that matter to a reader of messages."""
 
     HEADER = 0x01
@@ -73,9 +73,9 @@ def definition_record(
     `limits.text_mb` loses its text.
     """
     try:
-        if opcode == Opcode.SCHEMA:
+        if opcode == McapOpcode.SCHEMA:
             return _schema_record(content, 1_000_000 * limits.text_mb)
-        return _channel_record(content, 1_000_000 * limits.text_mb) if opcode == Opcode.CHANNEL else None
+        return _channel_record(content, 1_000_000 * limits.text_mb) if opcode == McapOpcode.CHANNEL else None
     except BagError:
         return None
 
@@ -149,19 +149,19 @@ def index_head(head: bytes, length: int) -> tuple[int, int, int]:
     return channel_id, array // 16, min(first_ns, MAX_TIME_NS)
 
 
-def statistics(content: bytes, listed_chunks: int) -> Promise:
+def statistics(content: bytes, listed_chunks: int) -> DeclaredContents:
     """Return what a statistics record promises; BagError when it does not hold."""
     messages, _, _, _, _, chunks, start_ns, end_ns, length = _unpacked(_STATISTICS, content, 0)
     entries = content[_STATISTICS.size : _STATISTICS.size + length]
     if len(entries) != length or length % 10:
         raise BagError(f"statistics announce {length} bytes of counts; {len(entries)} are there")
     counts = {channel: count for channel, count in struct.iter_unpack("<HQ", entries) if count}
-    return Promise("statistics", messages, chunks, listed_chunks, counts, start_ns, end_ns)
+    return DeclaredContents("statistics", messages, chunks, listed_chunks, counts, start_ns, end_ns)
 
 
-def mcap_contents(data: memoryview, limits: LimitsParameters, most: int) -> Contents:
+def mcap_contents(data: memoryview, limits: LimitsParameters, most: int) -> ChunkContents:
     """Parse the records of a chunk's data, until one does not hold, or there are more than `most` messages."""
-    found = Contents()
+    found = ChunkContents()
     add_channel, add_time = found.channels.append, found.times.append
     add_begin, add_end = found.begins.append, found.ends.append
     at, size, left = 0, len(data), most
@@ -179,7 +179,7 @@ def mcap_contents(data: memoryview, limits: LimitsParameters, most: int) -> Cont
         if end > size:
             found.damage = f"record at byte {at} announces {length} bytes; {size - start} are there"
             break
-        if opcode == Opcode.MESSAGE:
+        if opcode == McapOpcode.MESSAGE:
             if length >= _MESSAGE_BYTES:
                 if not left:
                     found.end_with(most)
@@ -189,8 +189,8 @@ def mcap_contents(data: memoryview, limits: LimitsParameters, most: int) -> Cont
                 add_time(time_ns if time_ns <= MAX_TIME_NS else MAX_TIME_NS)
                 add_begin(at + message_bytes)
                 add_end(end)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            known = found.definitions.schemas if opcode == Opcode.SCHEMA else found.definitions.channels
+        elif opcode in (McapOpcode.SCHEMA, McapOpcode.CHANNEL):
+            known = found.definitions.schemas if opcode == McapOpcode.SCHEMA else found.definitions.channels
             if length >= 2 and _U16.unpack_from(data, start)[0] not in known:
                 definition = definition_record(opcode, data[start:end], limits)
                 if definition is not None:
@@ -198,7 +198,7 @@ def mcap_contents(data: memoryview, limits: LimitsParameters, most: int) -> Cont
         elif opcode == 0:
             found.damage = f"record at byte {at} has opcode 0"
             break
-        elif opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.FOOTER):
+        elif opcode in (McapOpcode.CHUNK, McapOpcode.MESSAGE_INDEX, McapOpcode.FOOTER):
             found.note_foreign(at)
         at = end
     found.size = at

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from imgu_ros.bags.storage import MAX_TIME_NS, Storage, Warnings, seconds
+from imgu_ros.bags.storage import MAX_TIME_NS, Storage, WarningLog, seconds
 from imgu_ros.bags.text import text_of
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError, FileError
@@ -26,7 +26,7 @@ _INTEGER = re.compile(r"-?[0-9]{1,19}")
 
 
 @dataclass(frozen=True, slots=True)
-class Announced:
+class FolderMetadata:
     """What metadata.yaml says.
 
     Attributes
@@ -49,7 +49,7 @@ class Announced:
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
+class SplitFile:
     """A file of the bag that is there, and the number of messages that metadata.yaml announces for it (-1: none)."""
 
     path: Path
@@ -57,7 +57,7 @@ class Split:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class RecordingFolder:
     """A rosbag2 directory.
 
     Attributes
@@ -66,7 +66,7 @@ class Recording:
     topic_counts : messages by topic that metadata.yaml announces; empty where it does not, or a file is missing
     """
 
-    splits: tuple[Split, ...]
+    splits: tuple[SplitFile, ...]
     topic_counts: dict[str, int] = field(default_factory=dict)
 
     def difference(self, storages: Iterable[Storage]) -> str:
@@ -88,7 +88,7 @@ class Recording:
         return f"{METADATA} announces other numbers of messages: {', '.join(others[:5])}{more}" if others else ""
 
 
-def recording(folder: Path, warnings: Warnings, limits: LimitsParameters = DEFAULT_LIMITS) -> Recording:
+def recording(folder: Path, warnings: WarningLog, limits: LimitsParameters = DEFAULT_LIMITS) -> RecordingFolder:
     """Return what of a bag is there; what is missing becomes a warning.
 
     Files are looked for by name in the folder, whatever path metadata.yaml gives. Where none of those that it names is
@@ -110,7 +110,7 @@ def recording(folder: Path, warnings: Warnings, limits: LimitsParameters = DEFAU
             raise BagError(
                 f"{folder}: no bag in this folder; need .mcap or .db3 files, and their {METADATA} (name a .bag itself)"
             )
-        return Recording(tuple(Split(path, -1) for path in present))
+        return RecordingFolder(tuple(SplitFile(path, -1) for path in present))
     found = {name: _located(entries, name) for name in announced.files}
     missing = [name for name, path in found.items() if path is None]
     if missing and len(missing) == len(found):
@@ -121,19 +121,19 @@ def recording(folder: Path, warnings: Warnings, limits: LimitsParameters = DEFAU
         warnings.add(f"{folder.name}: {METADATA} names {_listed(missing)}, which is not there; read instead: {there}")
         _warn_of_unnamed(folder, present, renamed, warnings)
         only = announced.message_count if len(found) == len(renamed) == 1 else -1
-        return Recording(tuple(Split(path, only) for path in renamed))
+        return RecordingFolder(tuple(SplitFile(path, only) for path in renamed))
     if missing:
         _warn_of_missing(folder, missing, announced, warnings)
     _warn_of_unnamed(folder, present, [path for path in found.values() if path], warnings)
     only = announced.message_count if len(found) == 1 else -1
-    splits: dict[Path, Split] = {}  # one for each file: of two names of one file, its messages would come twice
+    splits: dict[Path, SplitFile] = {}  # one for each file: of two names of one file, its messages would come twice
     for name, path in found.items():
         if path is not None:
-            splits.setdefault(path, Split(path, announced.file_counts.get(name, only)))
-    return Recording(tuple(splits.values()), {} if missing else announced.topic_counts)
+            splits.setdefault(path, SplitFile(path, announced.file_counts.get(name, only)))
+    return RecordingFolder(tuple(splits.values()), {} if missing else announced.topic_counts)
 
 
-def _announced(folder: Path, warnings: Warnings, limits: LimitsParameters) -> Announced | None:
+def _announced(folder: Path, warnings: WarningLog, limits: LimitsParameters) -> FolderMetadata | None:
     """Return what metadata.yaml says; None, with a warning, when it is missing or makes no sense."""
     path = folder / METADATA
     if not path.exists():
@@ -151,7 +151,7 @@ def _announced(folder: Path, warnings: Warnings, limits: LimitsParameters) -> An
         return None
 
 
-def _parsed(information: dict[str, Any]) -> Announced:
+def _parsed(information: dict[str, Any]) -> FolderMetadata:
     """Take what is needed, and nothing that is not: topics, QoS profiles, custom data and versions may be anything."""
     counts: dict[str, int] = {}
     starts: dict[str, int] = {}
@@ -184,7 +184,7 @@ def _parsed(information: dict[str, Any]) -> Announced:
             of_topics[topic] = of_topics.get(topic, 0) + _number(entry["message_count"])
     except (KeyError, TypeError, ValueError):
         of_topics = {}
-    return Announced(
+    return FolderMetadata(
         tuple(dict.fromkeys(names)),
         suffix,
         total,
@@ -224,13 +224,13 @@ def _of_storage(present: list[Path], suffix: str) -> list[Path]:
     return [path for path in present if path.name.removesuffix(".zstd").endswith(suffix)] or present
 
 
-def _warn_of_unnamed(folder: Path, present: list[Path], read: list[Path], warnings: Warnings) -> None:
+def _warn_of_unnamed(folder: Path, present: list[Path], read: list[Path], warnings: WarningLog) -> None:
     unnamed = [path.name for path in present if path not in read]
     if unnamed:
         warnings.add(f"{folder.name}: not named in {METADATA}, and not read: {_listed(unnamed)}")
 
 
-def _warn_of_missing(folder: Path, missing: list[str], announced: Announced, warnings: Warnings) -> None:
+def _warn_of_missing(folder: Path, missing: list[str], announced: FolderMetadata, warnings: WarningLog) -> None:
     text = f"{folder.name}: {len(missing)} of {len(announced.files)} files are missing ({_listed(missing)})"
     if all(name in announced.starts_ns for name in missing):
         lost = sum(announced.file_counts[name] for name in missing)

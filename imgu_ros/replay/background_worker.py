@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the last step of a piece of work in a thread of its own, behind the one that goes on, in bounded memory."""
+"""A thread that works off a bounded queue. Separate, because both kinds of result sink use it."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from typing import Generic, Self, TypeVar
 T = TypeVar("T")
 
 
-class Background(Generic[T]):
+class BackgroundWorker(Generic[T]):
     """Calls `work` with each item, in order, in a thread of its own; a context manager.
 
     Leaving it finishes what was put, after an error or an interrupt too, so that nothing is left half done.
 
     Parameters
     ----------
-    work : what it raises is raised to the one who puts, at the next `put` or at the end; later items are dropped then
-    limit : items that may wait; `put` waits while there are as many
+    work : its exception is raised by the next `put` or on leaving; later items are dropped
+    limit : number of items that may wait; `put` blocks while there are as many
+    patience_s : longest time for one item while somebody waits; beyond it `put` and leaving raise TimeoutError, and the
+        thread is left to itself
     """
 
-    def __init__(self, work: Callable[[T], None], limit: int = 4) -> None:
+    def __init__(self, work: Callable[[T], None], limit: int = 4, patience_s: float = threading.TIMEOUT_MAX) -> None:
         self._work = work
         self._limit = limit
+        self._patience_s = patience_s
         self._condition = threading.Condition()
         self._waiting: deque[T] = deque()
         self._ended = False
@@ -36,8 +39,12 @@ class Background(Generic[T]):
     def put(self, item: T) -> None:
         """Hand over an item; wait while too many are waiting."""
         with self._condition:
-            self._condition.wait_for(lambda: len(self._waiting) < self._limit or self._error is not None)
+            has_room = self._condition.wait_for(
+                lambda: len(self._waiting) < self._limit or self._error is not None, self._patience_s
+            )
             self._raise()
+            if not has_room:
+                raise TimeoutError
             self._waiting.append(item)
             self._condition.notify_all()
 
@@ -50,9 +57,14 @@ class Background(Generic[T]):
         with self._condition:
             self._ended = True
             self._condition.notify_all()
-        self._thread.join()
+        left = -1
+        while self._thread.is_alive() and left != len(self._waiting):
+            left = len(self._waiting)
+            self._thread.join(self._patience_s)
         if error is None:  # else the error under way is the one to report
             self._raise()
+            if self._thread.is_alive():
+                raise TimeoutError
 
     def _raise(self) -> None:
         if self._error is not None:

@@ -13,8 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from imgu_ros.bags.byte_file import ByteFile
+from imgu_ros.bags.salvage.extents import Extent, ExtentTable
 from imgu_ros.bags.storage import MAX_TIME_NS
-from imgu_ros.bags.stretches import Stretch, StretchTable
 from imgu_ros.config.parameters import LimitsParameters
 
 #: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
@@ -49,14 +49,14 @@ class ChannelRecord:
 
 
 @dataclass(slots=True, eq=False)
-class Room:
+class DefinitionBudget:
     """What definitions may take together, `_MOST_TEXT` bytes; a text that comes again takes nothing."""
 
     left: int = _MOST_TEXT
     texts: dict[str, str] = field(default_factory=dict)
 
     def kept(self, record: SchemaRecord | ChannelRecord) -> SchemaRecord | ChannelRecord | None:
-        """Return the record, its text as it is known; None when there is no room for it."""
+        """Return the record, its text as it is known; None when there is no budget for it."""
         if isinstance(record, ChannelRecord):
             text, size = "", len(record.topic)
         else:
@@ -70,27 +70,27 @@ class Room:
 
 @dataclass(slots=True, eq=False)
 class Definitions:
-    """Definitions by their ids; of two with the same id, the first counts. Beyond their room they are not taken."""
+    """Definitions by their ids; of two with the same id, the first counts. Beyond their budget they are not taken."""
 
     schemas: dict[int, SchemaRecord] = field(default_factory=dict)
     channels: dict[int, ChannelRecord] = field(default_factory=dict)
-    room: Room = field(default_factory=Room)
+    budget: DefinitionBudget = field(default_factory=DefinitionBudget)
 
     def define(self, record: SchemaRecord | ChannelRecord) -> None:
         """Take a definition."""
         if record.id in (self.schemas if isinstance(record, SchemaRecord) else self.channels):
             return
-        kept = self.room.kept(record)
+        kept = self.budget.kept(record)
         if isinstance(kept, SchemaRecord):
             self.schemas[kept.id] = kept
         elif kept is not None:
             self.channels[kept.id] = kept
 
-    def share(self, room: Room) -> None:
-        """Take from a room that others take from too."""
+    def share(self, budget: DefinitionBudget) -> None:
+        """Take from a budget that others take from too."""
         records: list[SchemaRecord | ChannelRecord] = [*self.schemas.values(), *self.channels.values()]
-        kept = [room.kept(record) for record in records]
-        self.room = room
+        kept = [budget.kept(record) for record in records]
+        self.budget = budget
         self.schemas = {record.id: record for record in kept if isinstance(record, SchemaRecord)}
         self.channels = {record.id: record for record in kept if isinstance(record, ChannelRecord)}
 
@@ -103,7 +103,7 @@ class Definitions:
 
 
 @dataclass(slots=True, eq=False)
-class Contents:
+class ChunkContents:
     """What the decompressed data of a chunk hold: places of messages, not the messages, which may be millions.
 
     Attributes
@@ -168,7 +168,7 @@ class Gap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Promise:
+class DeclaredContents:
     """What the file itself says of its contents, behind its data; -1: not said.
 
     Attributes
@@ -194,10 +194,10 @@ class ChunkIndex:
 
     Attributes
     ----------
-    stretches : in the order of the file
+    extents : in the order of the file
     definitions : those outside of chunks that the data need no confirming of
     summary : those behind the data, which the data may contradict
-    promise : what the file says of itself
+    declared : what the file says of itself
     gaps : bytes that could not be understood
     remarks : what else is to be said, a line each
     is_complete : the file's proper end was found
@@ -205,10 +205,10 @@ class ChunkIndex:
     is_doubtful : what it says of itself contradicts itself, so that its data must be read to know
     """
 
-    stretches: StretchTable = field(default_factory=StretchTable)
+    extents: ExtentTable = field(default_factory=ExtentTable)
     definitions: Definitions = field(default_factory=Definitions)
     summary: Definitions = field(default_factory=Definitions)
-    promise: Promise | None = None
+    declared: DeclaredContents | None = None
     gaps: list[Gap] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     is_complete: bool = False
@@ -219,7 +219,7 @@ class ChunkIndex:
 class Search(Protocol):
     """Finds the chunks in a part of a file, where a chunk was taken for one that is none, or is damaged."""
 
-    def __call__(self, file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
+    def __call__(self, file: ByteFile, start: int, end: int) -> Iterator[Extent]:
         """Yield the whole chunks between two places."""
 
 
@@ -235,7 +235,7 @@ class ChunkFormat:
     """
 
     index: Callable[[ByteFile, LimitsParameters], list[ChunkIndex]]
-    contents: Callable[[memoryview, LimitsParameters, int], Contents]
+    contents: Callable[[memoryview, LimitsParameters, int], ChunkContents]
     search: Search
 
 
@@ -248,13 +248,13 @@ def walked_files(walk: Callable[[int], tuple[ChunkIndex, int]], start: int) -> l
     start : of the first
     """
     found: list[ChunkIndex] = []
-    at, room = start, Room()
+    at, budget = start, DefinitionBudget()
     while at >= 0:
         if len(found) == _MOST_FILES:
             found[-1].remarks.append(f"{_MOST_FILES} files follow one another: what is behind byte {at} is not read")
             break
         index, at = walk(at)
         for definitions in (index.definitions, index.summary):
-            definitions.share(room)
+            definitions.share(budget)
         found.append(index)
     return found

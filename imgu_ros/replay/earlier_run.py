@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in the way of a run: an earlier run's files, which are removed, or somebody else's, which never are."""
+"""The files of an earlier run: its list of them, and their removal. Files of anybody else are never removed."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import stat
 from collections.abc import Collection
@@ -14,12 +15,79 @@ from types import TracebackType
 from typing import Self
 
 from imgu_ros.errors import FileError
-from imgu_ros.replay.manifest import MANIFEST, Manifest
+from imgu_ros.file_access.text_files import write_text
+from imgu_ros.replay.folder_lock import LOCK
 
+MANIFEST = ".imgu_files.json"
+
+_VERSION = 1
+_MOST_BYTES = 4_000_000
+_MOST_DEPTH = 3
+_MOST_CHARACTERS = 1024
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 #: Between a file's last change and the time at which the run says that it is at work; some file systems count in 2 s.
 _SLACK_NS = 3_000_000_000
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFLNK: "a symbolic link", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """What a folder's list says.
+
+    Attributes
+    ----------
+    kind : what the run was: `replay`, `simulation`
+    files : relative names, parts joined by /
+    began_ns : when the list was written, before every file in it; by the clock of the file system
+    """
+
+    kind: str
+    files: frozenset[str]
+    began_ns: int
+
+
+def write_manifest(out: Path, kind: str, files: Collection[str]) -> None:
+    """Write the list of the files that are about to be written.
+
+    Raises
+    ------
+    FileError
+        If it cannot be written.
+    """
+    text = json.dumps({"version": _VERSION, "kind": kind, "files": sorted(files)}, indent=1) + "\n"
+    write_text(out / MANIFEST, text, synced=True)
+
+
+def read_manifest(out: Path) -> Manifest | None:
+    """Return what the folder's list says; None when there is none. It is trusted in nothing.
+
+    Raises
+    ------
+    FileError
+        If there is something that is no such list, or it names what is not in this folder.
+    OSError
+        If it cannot be read.
+    """
+    path = out / MANIFEST
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise FileError(f"{path}: {error.strerror}; need another folder") from None
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode):
+        os.close(descriptor)
+        raise FileError(f"{path}: no regular file; need another folder")
+    with open(descriptor, "rb") as file:
+        text = file.read(_MOST_BYTES + 1)
+    try:
+        if len(text) > _MOST_BYTES:
+            raise ValueError(f"more than {_MOST_BYTES} bytes")
+        kind, files = _parsed(json.loads(text))
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path}: not a run's list of files ({error}); need another folder") from None
+    return Manifest(kind, files, status.st_mtime_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,3 +222,29 @@ def _kind(status: os.stat_result) -> str:
 def _parents(names: Collection[str]) -> set[str]:
     """Return the folders that relative names lie in."""
     return {"/".join(parts[:end]) for parts in (name.split("/") for name in names) for end in range(1, len(parts))}
+
+
+def _parsed(document: object) -> tuple[str, frozenset[str]]:
+    if not isinstance(document, dict) or document.get("version") != _VERSION:
+        raise ValueError(f"need version {_VERSION}")
+    kind, files = document.get("kind"), document.get("files")
+    if not isinstance(kind, str) or not kind.isidentifier() or not isinstance(files, list):
+        raise ValueError("need kind and files")
+    for name in files:
+        if not isinstance(name, str) or not _is_inside(name):
+            raise ValueError(f"{str(name)[:80]!a} is no name in the folder")
+    return kind[:40], frozenset(files)
+
+
+def _is_inside(name: str) -> bool:
+    parts = name.split("/")
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:  # half a character, which no file's name has
+        return False
+    return (
+        len(name) <= _MOST_CHARACTERS
+        and "\0" not in name
+        and len(parts) <= _MOST_DEPTH
+        and not any(part in ("", ".", "..", MANIFEST, LOCK) for part in parts)
+    )

@@ -16,7 +16,7 @@ from imgu_ros.bags.storage import MAX_TIME_NS
 
 
 @dataclass(slots=True, eq=False)
-class Stretch:
+class Extent:
     """A chunk, or some messages outside of chunks.
 
     Attributes
@@ -28,7 +28,7 @@ class Stretch:
     crc : CRC-32 of the decompressed records; 0: not known
     start_ns, end_ns : times of its first and last message
     counts : messages by channel id
-    is_counted : `counts` was promised by an index or counted; otherwise the data must be read to know
+    is_counted : `counts` was declared by an index or counted; otherwise the data must be read to know
     """
 
     offset: int
@@ -53,8 +53,8 @@ class Stretch:
         return self.data_offset == self.offset
 
 
-class StretchTable:
-    """Many stretches in little memory: 64 bytes each; a chunk of one small message takes hardly more in the file."""
+class ExtentTable:
+    """Many extents in little memory: 64 bytes each; a chunk of one small message takes hardly more in the file."""
 
     _COLUMNS = 8
     _OFFSET, _DATA_OFFSET, _DATA_SIZE, _SIZE, _START, _END, _FLAGS, _COUNTS = range(8)
@@ -69,28 +69,28 @@ class StretchTable:
     def __len__(self) -> int:
         return len(self._numbers) // self._COLUMNS
 
-    def __getitem__(self, index: int) -> Stretch:
+    def __getitem__(self, index: int) -> Extent:
         at = self._COLUMNS * index
         offset, data_offset, data_size, size, start, end, packed, counts = self._numbers[at : at + self._COLUMNS]
-        return Stretch(
+        return Extent(
             offset, data_offset, data_size, self._methods[packed >> 33], size, packed & 0xFFFFFFFF, start, end,
             self._unpacked(counts), bool(packed >> 32 & 1),
         )  # fmt: skip
 
-    def __iter__(self) -> Iterator[Stretch]:
+    def __iter__(self) -> Iterator[Extent]:
         return (self[index] for index in range(len(self)))
 
-    def append(self, stretch: Stretch) -> None:
-        """Add a stretch; later changes of it do not count."""
-        self._numbers.extend(self._row(stretch))
+    def append(self, extent: Extent) -> None:
+        """Add a extent; later changes of it do not count."""
+        self._numbers.extend(self._row(extent))
 
-    def replace(self, index: int, stretch: Stretch) -> None:
-        """Put a stretch in the place of another."""
+    def replace(self, index: int, extent: Extent) -> None:
+        """Put a extent in the place of another."""
         at = self._COLUMNS * index
-        self._numbers[at : at + self._COLUMNS] = array("Q", self._row(stretch))
+        self._numbers[at : at + self._COLUMNS] = array("Q", self._row(extent))
 
     def totals(self) -> dict[int, int]:
-        """Return the messages by channel id, of all stretches; those that hold no message count for nothing."""
+        """Return the messages by channel id, of all extents; those that hold no message count for nothing."""
         totals: dict[int, int] = {}
         for index, times in enumerate(np.bincount(self._column(self._COUNTS).astype(np.int64)).tolist()):
             for channel, count in self._unpacked(index).items() if times else ():
@@ -136,19 +136,19 @@ class StretchTable:
         # A copy: an array that numpy looks at cannot grow.
         return np.array(self._numbers[column :: self._COLUMNS], np.uint64)
 
-    def _row(self, stretch: Stretch) -> tuple[int, ...]:
-        counts = {channel: min(count, 2**32 - 1) for channel, count in stretch.counts.items() if count}
+    def _row(self, extent: Extent) -> tuple[int, ...]:
+        counts = {channel: min(count, 2**32 - 1) for channel, count in extent.counts.items() if count}
         key = struct.pack(f"<{2 * len(counts)}I", *chain.from_iterable(counts.items()))
         number = self._known_counts.setdefault(key, len(self._counts))
         if number == len(self._counts):
             self._counts.append(key)
-        method = self._known_methods.setdefault(stretch.compression, len(self._methods))
+        method = self._known_methods.setdefault(extent.compression, len(self._methods))
         if method == len(self._methods):
-            self._methods.append(stretch.compression)
+            self._methods.append(extent.compression)
         return (
-            stretch.offset, stretch.data_offset, stretch.data_size, stretch.size,
-            min(stretch.start_ns, MAX_TIME_NS), min(stretch.end_ns, MAX_TIME_NS),
-            method << 33 | stretch.is_counted << 32 | stretch.crc, number,
+            extent.offset, extent.data_offset, extent.data_size, extent.size,
+            min(extent.start_ns, MAX_TIME_NS), min(extent.end_ns, MAX_TIME_NS),
+            method << 33 | extent.is_counted << 32 | extent.crc, number,
         )  # fmt: skip
 
     def _unpacked(self, number: int) -> dict[int, int]:

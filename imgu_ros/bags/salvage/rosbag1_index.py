@@ -14,18 +14,18 @@ from contextlib import suppress
 import numpy as np
 
 from imgu_ros.bags.byte_file import ByteFile
-from imgu_ros.bags.chunks import ChunkFormat, ChunkIndex, Gap, Promise, walked_files
-from imgu_ros.bags.rosbag1_format import (
+from imgu_ros.bags.salvage.chunks import ChunkFormat, ChunkIndex, DeclaredContents, Gap, walked_files
+from imgu_ros.bags.salvage.extents import Extent
+from imgu_ros.bags.salvage.rosbag1_format import (
     COMPRESSIONS,
     MAGIC,
     MAX_HEADER,
-    Opcode,
     RecordHeader,
+    Rosbag1Opcode,
     define,
     record_header,
     rosbag1_contents,
 )
-from imgu_ros.bags.stretches import Stretch
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -34,8 +34,8 @@ _HEAD_BYTES = 2**8
 _FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
 _INDEX_BYTES = 12 * 2**16
 _MOST_REMARKS = 20
-#: Messages outside of chunks are read in stretches of about this size.
-_STRETCH_BYTES = 2**22
+#: Messages outside of chunks are read in extents of about this size.
+_EXTENT_BYTES = 2**22
 # A header of some fields, the first of which has a name; each match is one byte, so that none hides another.
 _HEADER = rb"[\x18-\x80](?=\0\0\0[\x04-\x40]\0\0\0[a-z].{0,120}?op=[%s])"
 _CANDIDATE = re.compile(_HEADER % rb"\x05\x06\x07" + rb"|#(?=ROSBAG V2\.0\n)", re.DOTALL)
@@ -55,27 +55,27 @@ def index_rosbag1(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
         raise BagError(f"{file.path}: begins with {magic!r}; need {MAGIC!r}")
 
     def walked(at: int) -> tuple[ChunkIndex, int]:
-        walk = _Walk(file, at, limits)
+        walk = _Rosbag1Walk(file, at, limits)
         return walk.found, walk.over(at)
 
     return walked_files(walked, len(MAGIC))
 
 
-def rosbag1_chunks(file: ByteFile, start: int, end: int) -> Iterator[Stretch]:
+def rosbag1_chunks(file: ByteFile, start: int, end: int) -> Iterator[Extent]:
     """Yield the chunks between two places of a file, one behind the other."""
     for at in _candidates(file, start, end, _CHUNK_CANDIDATE):
         if at < start:
             continue
         try:
             header = _header_at(file, at)
-            if header.opcode != Opcode.CHUNK or header.text("compression") not in COMPRESSIONS:
+            if header.opcode != Rosbag1Opcode.CHUNK or header.text("compression") not in COMPRESSIONS:
                 continue
-            stretch = _stretch(at, header)
+            extent = _extent(at, header)
         except BagError:
             continue
-        if stretch.end <= end:
-            yield stretch
-            start = stretch.end
+        if extent.end <= end:
+            yield extent
+            start = extent.end
 
 
 ROSBAG1 = ChunkFormat(index_rosbag1, rosbag1_contents, rosbag1_chunks)
@@ -85,11 +85,11 @@ class _EncryptedError(BagError):
     """Nothing of the bag can be read."""
 
 
-class _Walk:
+class _Rosbag1Walk:
     def __init__(self, file: ByteFile, start: int, limits: LimitsParameters) -> None:
         self.file, self.limits, self.start = file, limits, start
         self.found = ChunkIndex()
-        self.last: Stretch | None = None  # not yet in the table
+        self.last: Extent | None = None  # not yet in the table
         self.sure = start  # a search for the next record starts behind it: what is before has the right length
         self.announced = -1
         self.listed_chunks = 0
@@ -105,14 +105,14 @@ class _Walk:
                 raise
             except BagError:
                 at = self.stepped_over(at) or self.recovered(at)
-        self.close_stretch()
+        self.close_extent()
         found = self.found
         # A recorder writes the index, and then the number of chunks into the header, when it stops.
         found.is_complete = self.announced == found.chunks
         if self.announced >= 0:
             listed = self.listed_chunks
             messages = sum(self.counts.values()) if listed else -1
-            found.promise = Promise("index", messages, self.announced, listed, self.counts)
+            found.declared = DeclaredContents("index", messages, self.announced, listed, self.counts)
         return self.next_file
 
     def next_record(self, at: int) -> int:
@@ -121,25 +121,25 @@ class _Walk:
         start, opcode = at + header.data_offset, header.opcode
         end = start + header.data_size
         sure = at
-        if opcode == Opcode.CHUNK:
+        if opcode == Rosbag1Opcode.CHUNK:
             end = self.take_chunk(at, header)
-        elif opcode == Opcode.INDEX:
+        elif opcode == Rosbag1Opcode.INDEX:
             self.take_index(header, start)
             sure = end
-        elif opcode == Opcode.MESSAGE:
+        elif opcode == Rosbag1Opcode.MESSAGE:
             self.take_message(at, end, header.number("conn"), header.time_ns())
         else:
-            self.close_stretch()
-            if opcode == Opcode.BAG_HEADER:
+            self.close_extent()
+            if opcode == Rosbag1Opcode.BAG_HEADER:
                 if header.fields.get("encryptor"):
                     raise _EncryptedError(f"{self.file.path}: encrypted; need a bag that is not")
                 with suppress(BagError):
                     self.announced = header.number("chunk_count") if header.number("index_pos", 8) else -1
-            elif opcode == Opcode.CONNECTION:
+            elif opcode == Rosbag1Opcode.CONNECTION:
                 if header.data_size > 1_000_000 * self.limits.message_mb:
                     raise BagError(f"connection of {header.data_size} bytes")
                 define(self.found.summary, header, self.file.read(start, header.data_size), self.limits)
-            elif opcode == Opcode.CHUNK_INFO:
+            elif opcode == Rosbag1Opcode.CHUNK_INFO:
                 self.take_chunk_info(header, start)
         self.sure = sure
         return end
@@ -160,16 +160,16 @@ class _Walk:
 
     def take_chunk(self, at: int, header: RecordHeader) -> int:
         """Note a chunk; of one that is not compressed, size and length must be the same: what is followed counts."""
-        stretch = _stretch(at, header)
-        if stretch.compression == "" and stretch.size != stretch.data_size:
-            sizes = [size for size in (stretch.data_size, stretch.size) if self.is_followed(stretch.data_offset + size)]
+        extent = _extent(at, header)
+        if extent.compression == "" and extent.size != extent.data_size:
+            sizes = [size for size in (extent.data_size, extent.size) if self.is_followed(extent.data_offset + size)]
             if not sizes:
-                raise BagError(f"chunk of {stretch.data_size} bytes announces {stretch.size}")
-            stretch.size = stretch.data_size = sizes[0]
-        self.close_stretch()
-        self.last = stretch
+                raise BagError(f"chunk of {extent.data_size} bytes announces {extent.size}")
+            extent.size = extent.data_size = sizes[0]
+        self.close_extent()
+        self.last = extent
         self.found.chunks += 1
-        return stretch.end
+        return extent.end
 
     def take_index(self, header: RecordHeader, start: int) -> None:
         """Take a chunk's index record: times (s, ns) and offsets of one connection's messages."""
@@ -192,9 +192,9 @@ class _Walk:
     def take_message(self, at: int, end: int, connection: int, time_ns: int) -> None:
         """Note a message outside of chunks, as no recorder writes it."""
         run = self.last
-        if run is None or not run.is_run or run.end != at or end - run.offset > _STRETCH_BYTES:
-            self.close_stretch()
-            run = self.last = Stretch(at, at, 0, "", 0, 0, time_ns, time_ns, is_counted=True)
+        if run is None or not run.is_run or run.end != at or end - run.offset > _EXTENT_BYTES:
+            self.close_extent()
+            run = self.last = Extent(at, at, 0, "", 0, 0, time_ns, time_ns, is_counted=True)
         run.size = run.data_size = end - run.offset
         run.start_ns, run.end_ns = min(run.start_ns, time_ns), max(run.end_ns, time_ns)
         run.counts[connection] = run.counts.get(connection, 0) + 1
@@ -208,17 +208,17 @@ class _Walk:
             if count:
                 self.counts[connection] = self.counts.get(connection, 0) + count
 
-    def close_stretch(self) -> None:
+    def close_extent(self) -> None:
         """Put what is complete into the table; a chunk without data has no message."""
         if self.last is not None and self.last.data_size:
-            self.found.stretches.append(self.last)
+            self.found.extents.append(self.last)
         self.last = None
 
     def recovered(self, broken: int) -> int:
         """Return where the walk can go on after a broken record: the file's end when nowhere."""
         if self.last is not None and not self.last.is_run:
             self.last.is_counted = False  # its index may be among what is broken
-        self.close_stretch()
+        self.close_extent()
         start = self.sure
         if self.file.head(broken, len(MAGIC)) == MAGIC:
             if broken == self.start:
@@ -244,7 +244,7 @@ class _Walk:
             return False
         try:
             header = _header_at(self.file, at)
-            if header.opcode == Opcode.CHUNK:
+            if header.opcode == Rosbag1Opcode.CHUNK:
                 return header.text("compression") in COMPRESSIONS
             return self.is_followed(at + header.data_offset + header.data_size)
         except BagError:
@@ -258,10 +258,10 @@ class _Walk:
             return False
 
 
-def _stretch(at: int, header: RecordHeader) -> Stretch:
+def _extent(at: int, header: RecordHeader) -> Extent:
     compression = header.text("compression")
     method = COMPRESSIONS.get(compression, compression)
-    return Stretch(at, at + header.data_offset, header.data_size, method, header.number("size"), 0, 0, 0)
+    return Extent(at, at + header.data_offset, header.data_size, method, header.number("size"), 0, 0, 0)
 
 
 def _header_at(file: ByteFile, at: int) -> RecordHeader:

@@ -17,16 +17,16 @@ import pytest
 
 from imgu_ros.errors import FileError
 from imgu_ros.replay import folder_lock
-from imgu_ros.replay.output_folder import Contents, RunFolder, check_output_folder, output_folder
+from imgu_ros.replay.output_folder import OutputFiles, RunFolder, check_output_folder, output_folder
 
-CONTENTS = Contents(
+CONTENTS = OutputFiles(
     "replay", ("table.csv", "bag/data.mcap", "bag/metadata.yaml", "bag.part/bag/data.mcap", "end"), "end"
 )
 MANIFEST, LOCK = ".imgu_files.json", ".imgu_lock"
 
 
 @contextmanager
-def run(out: Path, *, overwrite: bool = True, contents: Contents = CONTENTS) -> Iterator[RunFolder]:
+def run(out: Path, *, overwrite: bool = True, contents: OutputFiles = CONTENTS) -> Iterator[RunFolder]:
     with output_folder(out, contents, overwrite=overwrite) as folder:
         yield folder
 
@@ -150,7 +150,7 @@ def test_another_kind_of_run_is_refused(tmp_path: Path) -> None:
     write(tmp_path)
     with (
         pytest.raises(FileError, match="holds the files of a replay"),
-        run(tmp_path, contents=Contents("simulation", ("other",), "other")),
+        run(tmp_path, contents=OutputFiles("simulation", ("other",), "other")),
     ):
         pass
 
@@ -283,7 +283,7 @@ def test_inputs_are_not_removed(tmp_path: Path) -> None:
 
 
 def test_a_folder_whose_name_begins_as_the_runs_own_files(tmp_path: Path) -> None:
-    contents = Contents("simulation", (".imgu_x.mcap", "metadata.yaml"), "metadata.yaml")
+    contents = OutputFiles("simulation", (".imgu_x.mcap", "metadata.yaml"), "metadata.yaml")
     for text in ("1", "2"):
         with run(tmp_path / ".imgu_x", contents=contents):
             for name in contents.files:
