@@ -26,10 +26,11 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image, Matrix3, Points
-from imgu_ros.vision.descriptors.describe import DescriptorKind, describe
-from imgu_ros.vision.keypoints.detect import Detector, detect
+from imgu_ros.vision.descriptors.describe import describe
+from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.matching.metrics import metric_for
 from imgu_ros.vision.matching.nearest import match
+from imgu_ros.vision.methods import DESCRIPTORS
 from imgu_ros.vision.projective.transform import transform
 from imgu_ros.vision.scale_space.pyramid import build_pyramid
 
@@ -74,15 +75,15 @@ class Figures:
 
 #: For each kind of descriptor the detector that suits it, and OpenCV's way, if it has one.
 OURS = {
-    DescriptorKind.ORB: Detector.ORB,
-    DescriptorKind.SIFT: Detector.DOG,
-    DescriptorKind.ROOTSIFT: Detector.DOG,
-    DescriptorKind.BRIEF: Detector.ORB,
-    DescriptorKind.PATCH: Detector.HARRIS,
+    "orb": "orb",
+    "sift": "dog",
+    "rootsift": "dog",
+    "brief": "orb",
+    "patch": "harris",
 }
 
 
-def ours(kind: DescriptorKind) -> Callable[[Image, Image], Tentative]:
+def ours(kind: str) -> Callable[[Image, Image], Tentative]:
     """Return the chain's way with a kind of descriptor."""
 
     def matched(first: Image, second: Image) -> Tentative:
@@ -116,9 +117,9 @@ def opencv(feature: Callable[[], cv2.Feature2D], norm: int, root: bool = False) 
 
 
 OPENCV = {
-    DescriptorKind.ORB: opencv(lambda: cv2.ORB.create(COUNT), cv2.NORM_HAMMING),
-    DescriptorKind.SIFT: opencv(lambda: cv2.SIFT.create(COUNT), cv2.NORM_L2),
-    DescriptorKind.ROOTSIFT: opencv(lambda: cv2.SIFT.create(COUNT), cv2.NORM_L2, root=True),
+    "orb": opencv(lambda: cv2.ORB.create(COUNT), cv2.NORM_HAMMING),
+    "sift": opencv(lambda: cv2.SIFT.create(COUNT), cv2.NORM_L2),
+    "rootsift": opencv(lambda: cv2.SIFT.create(COUNT), cv2.NORM_L2, root=True),
 }
 
 
@@ -179,7 +180,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parser.parse_args()
     ways: dict[str, Callable[[Image, Image], Tentative]] = {}
-    for kind in DescriptorKind:
+    for kind in DESCRIPTORS:
         ways[f"{kind} on {OURS[kind]}"] = ours(kind)
         if kind in OPENCV:
             ways[f"OpenCV {kind}"] = OPENCV[kind]

@@ -28,7 +28,8 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image, Matrix3, Points
-from imgu_ros.vision.keypoints import Detector, detect, repeatability
+from imgu_ros.vision.keypoints import FastParameters, detect, repeatability
+from imgu_ros.vision.methods import DETECTORS
 from imgu_ros.vision.scale_space import build_pyramid
 
 COUNT = 1000
@@ -52,9 +53,9 @@ class Figures:
     peak_mb: float
 
 
-def ours(detector: str, arc: int = 9) -> Callable[[Image], Points]:
+def ours(detector: str, parameters: FastParameters | None = None) -> Callable[[Image], Points]:
     """Return the detector as the chain calls it: on a fine pyramid, spread."""
-    return lambda image: detect(build_pyramid(image, "fine"), detector, COUNT, fast_arc=arc).xy
+    return lambda image: detect(build_pyramid(image, "fine"), detector, COUNT, parameters=parameters).xy
 
 
 def strongest(detector: cv2.Feature2D) -> Callable[[Image], Points]:
@@ -73,9 +74,9 @@ def good_features(image: Image) -> Points:
     return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
 
 
-DETECTORS: dict[str, Callable[[Image], Points]] = {
-    **{str(name): ours(str(name)) for name in Detector},
-    "fast, arc 12": ours("fast", 12),
+WAYS: dict[str, Callable[[Image], Points]] = {
+    **{name: ours(name) for name in DETECTORS},
+    "fast, arc 12": ours("fast", FastParameters(arc=12)),
     "OpenCV ORB": strongest(cv2.ORB.create(COUNT)),
     "OpenCV FAST": strongest(cv2.FastFeatureDetector.create()),
     "OpenCV Harris": good_features,
@@ -99,7 +100,7 @@ def large(data: Path) -> Image:
 
 def measured(name: str, data: Path) -> Figures:
     """Measure one detector."""
-    found = DETECTORS[name]
+    found = WAYS[name]
     repeated: dict[str, list[float]] = {}
     pairs: dict[str, list[int]] = {}
     for sequence in SEQUENCES:
@@ -122,10 +123,10 @@ def measured(name: str, data: Path) -> Figures:
 def peak_mb(name: str, data: Path) -> float:
     """Return how much larger this process got at most while it detected."""
     image = large(data)
-    DETECTORS[name](image[:64, :64].copy())  # libraries load
+    WAYS[name](image[:64, :64].copy())  # libraries load
     Path("/proc/self/clear_refs").write_text("5")  # Linux: the peak is forgotten
     before = _memory_kb("VmRSS")
-    DETECTORS[name](image)
+    WAYS[name](image)
     return (_memory_kb("VmHWM") - before) / 1024
 
 
@@ -162,7 +163,7 @@ def main() -> None:
     if arguments.peak_of:
         print(peak_mb(arguments.peak_of, arguments.data))
         return
-    figures = [measured(name, arguments.data) for name in DETECTORS]
+    figures = [measured(name, arguments.data) for name in WAYS]
     text = table(figures)
     print(text)
     if arguments.markdown:

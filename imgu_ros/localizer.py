@@ -13,7 +13,6 @@ import numpy as np
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import ReferenceDetector, View
-from imgu_ros.detect.features import find_features
 from imgu_ros.errors import EstimationError, ImguError
 from imgu_ros.frame import Frame
 from imgu_ros.image.development import Developed
@@ -161,7 +160,7 @@ class Localizer:
         ]
         missing = [index for index, result in enumerate(results) if result is None]
         due = self._search_is_due(missing)
-        features = find_features(pictures, self._parameters, clock) if due or with_keypoints else None
+        features = self._seeker.features(pictures, clock) if due or with_keypoints else None
         if features is not None and due:
             covered = [result.outline for result in results if result is not None and result.outline is not None]
             view = View(frame, pictures, features, covered)

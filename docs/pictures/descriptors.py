@@ -15,10 +15,11 @@ from matplotlib.figure import Figure
 
 from imgu_ros.simulate.sequence import default_targets
 from imgu_ros.types import Image, Points
-from imgu_ros.vision.descriptors import DescriptorKind, describe
+from imgu_ros.vision.descriptors import describe
 from imgu_ros.vision.descriptors.patch import SIDE, STEP_PER_SIGMA
 from imgu_ros.vision.keypoints import Keypoints, detect
 from imgu_ros.vision.matching import metric_for, prepare_gallery
+from imgu_ros.vision.methods import DESCRIPTORS
 from imgu_ros.vision.scale_space import build_pyramid
 
 _TURN_RAD = math.radians(40)
@@ -110,7 +111,7 @@ def _draw_changes(axes, target: Image, some: Keypoints, view: Image, moved: Keyp
     axes.set_title("distance from view to view\nto itself / to the nearest other", fontsize=9)
     axes.set_xlim(0, 1)
     axes.set_ylim(-6.4, 0.2)
-    for row, kind in enumerate(DescriptorKind):
+    for row, kind in enumerate(DESCRIPTORS):
         metric = metric_for(kind)
         gallery = prepare_gallery(_described(view, moved, kind), metric)
         rows = _described(target, some, kind)

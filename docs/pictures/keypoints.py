@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from imgu_ros.types import Image
-from imgu_ros.vision.keypoints import Detector, detect
+from imgu_ros.vision.keypoints import detect
+from imgu_ros.vision.methods import DETECTORS
 from imgu_ros.vision.scale_space import build_pyramid
 
 _SIDE = 240
@@ -21,7 +22,7 @@ def draw(path: Path) -> None:
     """Write the picture as PNG: a panel for each detector, circles of twice the scale with a hand for the angle."""
     picture = _scene()
     panels = []
-    for detector in Detector:
+    for detector in DETECTORS:
         panel = cv2.cvtColor((128 + picture.astype(np.int16) // 2).astype(np.uint8), cv2.COLOR_GRAY2BGR)
         found = detect(build_pyramid(picture, levels=4), detector, _COUNT)
         for (x, y), scale, angle in zip(found.xy, found.scale, found.angle, strict=True):

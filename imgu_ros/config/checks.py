@@ -12,29 +12,10 @@ from collections.abc import Iterator
 
 from imgu_ros.config.parameters import CameraParameters, Parameters, RawParameters
 from imgu_ros.errors import ParameterError
-
-#: Metrics that make sense for a descriptor. The library has the same knowledge, `vision.matching.metrics`, but
-#: importing it would take a command that only reads its parameters half a second; a test holds the two together.
-_METRICS = {
-    "orb": ("hamming",),
-    "brief": ("hamming",),
-    "sift": ("euclidean", "cosine"),
-    "rootsift": ("euclidean", "cosine"),
-    "patch": ("ncc", "zmssd", "ssd"),
-}
-_NATURE = {
-    "orb": "is bits, which are compared one by one",
-    "brief": "is bits, which are compared one by one",
-    "sift": "is a histogram of numbers, already free of brightness and contrast",
-    "rootsift": "is a histogram of numbers, already free of brightness and contrast",
-    "patch": "is pixels, which are compared as such",
-}
+from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
 
 #: Of a covariance, relative: numbers are written with a few digits.
 _ROUNDING = 1e-5
-
-#: Detectors that look for structures of every size by themselves: they need the grey picture as it is.
-_OF_EVERY_SCALE = ("dog", "mser")
 
 
 def check_together(parameters: Parameters) -> None:
@@ -75,12 +56,16 @@ def why_not(parameters: Parameters) -> str:
 
 
 def _contradictions(p: Parameters) -> Iterator[str]:
-    kind, metric = p.descriptor.kind, p.matching.metric
-    if metric != "auto" and metric not in _METRICS[kind]:
-        need = " or ".join(("auto", *_METRICS[kind]))
-        yield f"matching.metric: {metric!r}, and descriptor.kind {kind!r} {_NATURE[kind]}; need {need}"
+    kind, metric, descriptor = p.descriptor.kind, p.matching.metric, DESCRIPTORS[p.descriptor.kind]
+    if metric != "auto" and metric not in descriptor.metrics:
+        need = " or ".join(("auto", *descriptor.metrics))
+        yield f"matching.metric: {metric!r}, and descriptor.kind {kind!r} {descriptor.nature}; need {need}"
     detector, edges, threshold = p.keypoints.detector, p.preprocess.edges, p.preprocess.threshold
-    if detector in _OF_EVERY_SCALE:
+    if descriptor.detects and detector != kind:
+        yield f"keypoints.detector: {detector!r}, and descriptor.kind {kind!r} finds its own keypoints; need {kind!r}"
+    if detector not in DETECTORS and detector != kind:
+        yield f"descriptor.kind: {kind!r}, and keypoints.detector {detector!r} describes, too; need {detector!r}"
+    if detector in DETECTORS and DETECTORS[detector].finds_every_scale:
         seen = f"keypoints.detector {detector!r} looks for those of every size"
         for name, value, wrong, others in (
             ("pyramid.kind", p.pyramid.kind, p.pyramid.kind == "laplacian", "coarse or fine"),

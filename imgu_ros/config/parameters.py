@@ -9,7 +9,7 @@ converts what users give, `checks` says which values go together, `components` w
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from inspect import getdoc
@@ -17,6 +17,7 @@ from typing import Any, cast, get_args, get_type_hints
 
 from imgu_ros.errors import ParameterError
 from imgu_ros.nearest_name import nearest_name
+from imgu_ros.vision.methods import descriptor_names, detector_names
 
 #: What a parameter can hold: the types that ROS 2 parameters have in common with Python.
 ParameterValue = bool | int | float | str | tuple[str, ...] | tuple[float, ...] | tuple[int, ...]
@@ -44,7 +45,7 @@ class Declaration:
     description: str
     unit: str
     bounds: tuple[float, float] | None
-    choices: tuple[str, ...]
+    choices_of: Callable[[], tuple[str, ...]]
     read_only: bool
     is_frame: bool
     basic: int
@@ -59,6 +60,11 @@ class Declaration:
         """The bounds in words, "0.1 to 100"; empty: there are none."""
         return "" if self.bounds is None else " to ".join(f"{bound:.16g}" for bound in self.bounds)
 
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """What it may be; empty: any value. Those of a method grow with what is registered (`vision.methods`)."""
+        return self.choices_of()
+
 
 def parameter(
     default: Any,
@@ -66,7 +72,7 @@ def parameter(
     *,
     unit: str = "",
     bounds: tuple[float, float] | None = None,
-    choices: tuple[str, ...] = (),
+    choices: tuple[str, ...] | Callable[[], tuple[str, ...]] = (),
     read_only: bool = False,
     is_frame: bool = False,
     basic: int = 0,
@@ -76,7 +82,7 @@ def parameter(
         "description": description,
         "unit": unit,
         "bounds": bounds,
-        "choices": choices,
+        "choices_of": choices if callable(choices) else lambda: choices,
         "read_only": read_only,
         "is_frame": is_frame,
         "basic": basic,
@@ -297,7 +303,7 @@ class PyramidParameters:
 class KeypointsParameters:
     """Keypoint detection."""
 
-    detector: str = parameter("orb", "Keypoint detector.", choices=("fast", "harris", "moravec", "dog", "mser", "orb"))
+    detector: str = parameter("orb", "Keypoint detector.", choices=detector_names)
     max_count: int = parameter(
         600, "Maximum number of keypoints per frame, spread over image and levels.", bounds=(8, 100_000)
     )
@@ -312,7 +318,7 @@ class KeypointsParameters:
 class DescriptorParameters:
     """Keypoint description."""
 
-    kind: str = parameter("orb", "Keypoint descriptor.", choices=("orb", "sift", "rootsift", "brief", "patch"))
+    kind: str = parameter("orb", "Keypoint descriptor.", choices=descriptor_names)
 
 
 @dataclass(frozen=True, slots=True)

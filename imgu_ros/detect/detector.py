@@ -16,12 +16,13 @@ from imgu_ros.detect.robust_fit import draws
 from imgu_ros.detect.search_passes import Searched, SearchPass, search, tentative_matches
 from imgu_ros.frame import Frame
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.reference.features import TargetFeatures, thorough_parameters
+from imgu_ros.reference.features import TargetFeatures, extractor_options, thorough_parameters
 from imgu_ros.reference.planar import Target
 from imgu_ros.result import ReferenceResult, Stage, Status
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 
@@ -69,8 +70,9 @@ class ReferenceDetector:
         self._targets = tuple(targets)
         self._parameters = parameters
         self._index: DescriptorIndex | None = None
+        parts = BuildCache() if parts is None else parts
+        self._extractor = parts.make(make_extractor, extractor_options(parameters))
         if len(targets) > _DIRECT:
-            parts = BuildCache() if parts is None else parts
             self._index = parts.make(_index_of, *(target.features for target in targets))
 
     def prepare(self) -> None:
@@ -79,6 +81,10 @@ class ReferenceDetector:
             for target in self._targets[:_DIRECT]:
                 target.close.features()
                 target.thorough.features()
+
+    def features(self, pictures: GreyPyramid, clock: StageClock) -> Features:
+        """Return the keypoints and descriptors of a frame's first look."""
+        return find_features(pictures, self._parameters, self._extractor, clock)
 
     def seek(
         self, view: View, missing: Sequence[int], clock: StageClock, although_tracked: bool
@@ -101,7 +107,7 @@ class ReferenceDetector:
                 break
             features = view.features
             if look is SearchPass.THOROUGH:
-                features = find_features(view.pictures, thorough_parameters(self._parameters), clock)
+                features = find_features(view.pictures, thorough_parameters(self._parameters), self._extractor, clock)
             for result in self._search(replace(view, features=features, covered=covered[:]), look, tuple(left), clock):
                 left[result.number] = result
                 if result.outline is not None:

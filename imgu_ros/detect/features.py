@@ -15,8 +15,8 @@ from imgu_ros.image.preprocessing import preprocessed, with_edges
 from imgu_ros.result import Stage
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Image, Points
-from imgu_ros.vision.descriptors.describe import Descriptions, describe
-from imgu_ros.vision.keypoints.detect import detect
+from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.descriptors.extractor import DetectorDescriptor, FeatureExtractor
 from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
 
 #: A level with a shorter side holds hardly two descriptor patches of 31 px: too few keypoints for its cost.
@@ -36,18 +36,21 @@ class Features:
         return self.pyramid.levels[0].scale
 
 
-def find_features(pictures: GreyPyramid, parameters: Parameters, clock: StageClock) -> Features:
-    """Build a frame's pyramid, find its keypoints and describe them.
+def find_features(
+    pictures: GreyPyramid, parameters: Parameters, extractor: FeatureExtractor, clock: StageClock
+) -> Features:
+    """Build a frame's pyramid, detect its keypoints and describe them.
 
     Parameters
     ----------
     pictures : the frame's
     parameters : all parameters; for a thorough search those of `thorough_parameters`
+    extractor : the one that the parameters choose, see `extractor_options`
     clock : takes the time of the stages
     """
     with clock.measures(Stage.PYRAMID):
         pyramid = frame_pyramid(reduced_picture(pictures, parameters), parameters)
-    return described_features(pyramid, parameters, clock)
+    return extracted_features(pyramid, extractor, parameters.keypoints.max_count, clock)
 
 
 def frame_pyramid(base: Reduced, parameters: Parameters) -> Pyramid:
@@ -65,14 +68,18 @@ def frame_pyramid(base: Reduced, parameters: Parameters) -> Pyramid:
     return with_edges(pyramid, parameters.preprocess)
 
 
-def described_features(pyramid: Pyramid, parameters: Parameters, clock: StageClock) -> Features:
-    """Find the keypoints of a frame's pyramid and describe them."""
-    p = parameters
-    with clock.measures(Stage.KEYPOINTS):
-        keypoints = detect(pyramid, p.keypoints.detector, p.keypoints.max_count, fast_arc=p.keypoints.fast_arc)
-    with clock.measures(Stage.DESCRIBE):
-        described = describe(pyramid, keypoints, p.descriptor.kind)
-        return Features(pyramid, Descriptions(described.keypoints.rounded_to_float32(), described.descriptors))
+def extracted_features(pyramid: Pyramid, extractor: FeatureExtractor, max_count: int, clock: StageClock) -> Features:
+    """Detect and describe at most `max_count` keypoints of a frame's pyramid."""
+    if isinstance(extractor, DetectorDescriptor):
+        with clock.measures(Stage.KEYPOINTS):
+            keypoints = extractor.detect(pyramid, max_count)
+        with clock.measures(Stage.DESCRIBE):
+            described = extractor.describe(pyramid, keypoints)
+    else:
+        # A method that does both at once: its time cannot be told apart.
+        with clock.measures(Stage.DESCRIBE):
+            described = extractor.extract(pyramid, max_count)
+    return Features(pyramid, Descriptions(described.keypoints.rounded_to_float32(), described.descriptors))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from threading import Lock
 
 import cv2
@@ -14,11 +15,12 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters, PreprocessParameters
 from imgu_ros.image.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image
-from imgu_ros.vision.descriptors.describe import Descriptions, describe
-from imgu_ros.vision.keypoints.detect import OF_EVERY_SCALE, Detector, detect
+from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.descriptors.extractor import ExtractorOptions, FeatureExtractor
 from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.metrics import Metric, metric_for
+from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
 from imgu_ros.vision.scale_space.pyramid import PyramidKind, band_passed, build_pyramid
 
 #: Largest size at which a reference is described, in the frame's longer side. Measured: benchmarks/thresholds.py, study
@@ -70,8 +72,8 @@ class DescriptionOptions:
     preprocess : steps before keypoints are sought
     kernel, scales_per_octave, max_side_px : of the frame's pyramid
     band_passed : whether levels are bands of detail
-    detector, fast_arc, max_count : of the frame's keypoints
-    descriptor, metric : kind, and the distance that it is compared by
+    extractor, max_count : of the frame's keypoints
+    metric : by which descriptors are compared
     """
 
     preprocess: PreprocessParameters
@@ -79,27 +81,39 @@ class DescriptionOptions:
     scales_per_octave: int
     max_side_px: int
     band_passed: bool
-    detector: str
-    fast_arc: int
+    extractor: ExtractorOptions
     max_count: int
-    descriptor: str
     metric: Metric
 
 
 def description_options(parameters: Parameters) -> DescriptionOptions:
     """Return the values that the description of a target depends on, of `thorough_parameters` for a thorough search."""
-    p, none = parameters, Parameters()
+    p = parameters
     return DescriptionOptions(
         preprocess=for_targets(p.preprocess),
         kernel=p.pyramid.kernel,
         scales_per_octave=p.pyramid.scales_per_octave,
         max_side_px=p.pyramid.max_side_px,
         band_passed=p.pyramid.kind == PyramidKind.LAPLACIAN,
-        detector=p.keypoints.detector,
-        fast_arc=(p if p.keypoints.detector == Detector.FAST else none).keypoints.fast_arc,
+        extractor=extractor_options(p),
         max_count=p.keypoints.max_count,
-        descriptor=p.descriptor.kind,
         metric=metric_for(p.descriptor.kind, p.matching.metric),
+    )
+
+
+def extractor_options(parameters: Parameters) -> ExtractorOptions:
+    """Return the chosen detector and descriptor with their own parameters."""
+    descriptor = DESCRIPTORS[parameters.descriptor.kind]
+    detector = None if descriptor.detects else DETECTORS[parameters.keypoints.detector]
+
+    def value_of(name: str) -> object:
+        return attrgetter(name)(parameters)
+
+    return ExtractorOptions(
+        detector,
+        descriptor,
+        None if detector is None else detector.parameters_from(value_of),
+        descriptor.parameters_from(value_of),
     )
 
 
@@ -115,15 +129,16 @@ def thorough_parameters(parameters: Parameters) -> Parameters:
     )
 
 
-def target_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
+def target_features(grey: Image, options: DescriptionOptions, extractor: FeatureExtractor) -> TargetFeatures:
     """Describe a target, as it looks from its front, at every scale.
 
     Parameters
     ----------
     grey : (H, W) uint8
     options : of a first look
+    extractor : that `options` name
     """
-    return _gathered(_described(grey, options, round(_RICHNESS * options.max_count)), options)
+    return _gathered(_described(grey, options, extractor, round(_RICHNESS * options.max_count)), options)
 
 
 class FeaturesOnDemand:
@@ -147,7 +162,7 @@ class FeaturesOnDemand:
             return self._features
 
 
-def close_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
+def close_features(grey: Image, options: DescriptionOptions, extractor: FeatureExtractor) -> TargetFeatures:
     """Describe a target as it looks from so near that little of it is in view: densely, and enlarged.
 
     Of keypoints spread over all of a target, at every scale, a part of it seen at one scale has too few.
@@ -156,29 +171,33 @@ def close_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
     ----------
     grey : (H, W) uint8
     options : of a first look
+    extractor : that `options` name
     """
     o, enlarged = options, grey
     # A picture with fewer pixels than a frame shows of it is interpolated in the frame as well. These detectors do so.
-    if o.detector not in OF_EVERY_SCALE and _ENLARGED * max(grey.shape) <= _CLOSEST_VIEW * o.max_side_px:
+    detector = o.extractor.detector
+    finds_every_scale = detector is not None and detector.finds_every_scale
+    if not finds_every_scale and _ENLARGED * max(grey.shape) <= _CLOSEST_VIEW * o.max_side_px:
         enlarged = cv2.resize(grey, None, fx=_ENLARGED, fy=_ENLARGED, interpolation=cv2.INTER_CUBIC)
     scales = _Scales(_CLOSEST_VIEW, _CLOSE_OCTAVES * o.scales_per_octave + 1, even=False)
-    described = _described(enlarged, o, round(_CLOSE_RICHNESS * o.max_count), scales)
+    described = _described(enlarged, o, extractor, round(_CLOSE_RICHNESS * o.max_count), scales)
     factor = enlarged.shape[0] / grey.shape[0]
     k = described.keypoints
     keypoints = replace(k, xy=(k.xy + 0.5) / factor - 0.5, scale=k.scale / factor)
     return _gathered(Descriptions(keypoints, described.descriptors), o)
 
 
-def thorough_features(grey: Image, options: DescriptionOptions) -> TargetFeatures:
+def thorough_features(grey: Image, options: DescriptionOptions, extractor: FeatureExtractor) -> TargetFeatures:
     """Describe a target for a thorough search: with more keypoints, and also in oblique views.
 
     Parameters
     ----------
     grey : (H, W) uint8
     options : of a thorough search
+    extractor : that `options` name
     """
-    views = [_described(grey, options, round(_RICHNESS * options.max_count))]
-    views += [_oblique(grey, options, math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS)]
+    views = [_described(grey, options, extractor, round(_RICHNESS * options.max_count))]
+    views += [_oblique(grey, options, extractor, math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS)]
     keypoints = [view.keypoints for view in views]
     together = Keypoints(
         *(np.concatenate([getattr(k, name) for k in keypoints]) for name in Keypoints.__dataclass_fields__)
@@ -186,7 +205,9 @@ def thorough_features(grey: Image, options: DescriptionOptions) -> TargetFeature
     return _gathered(Descriptions(together, np.concatenate([view.descriptors for view in views])), options)
 
 
-def _oblique(grey: Image, options: DescriptionOptions, direction_rad: float) -> Descriptions:
+def _oblique(
+    grey: Image, options: DescriptionOptions, extractor: FeatureExtractor, direction_rad: float
+) -> Descriptions:
     """Describe a target as it looks when it is turned away about the normal of a direction in its plane."""
     height, width = grey.shape
     c, s = math.cos(direction_rad), math.sin(direction_rad)
@@ -197,7 +218,7 @@ def _oblique(grey: Image, options: DescriptionOptions, direction_rad: float) -> 
     offset = edges.min(axis=0) + 0.5
     turned = cv2.warpAffine(grey, np.column_stack((R, -offset)), (columns, rows), borderMode=cv2.BORDER_REPLICATE)
     view = cv2.resize(turned, (columns // _SHORTENING, rows), interpolation=cv2.INTER_AREA)
-    described = _described(view, options, max(1, round(_OBLIQUE_RICHNESS * options.max_count)))
+    described = _described(view, options, extractor, max(1, round(_OBLIQUE_RICHNESS * options.max_count)))
     k = described.keypoints
     xy = ((k.xy + 0.5) * (_SHORTENING, 1) - 0.5 + offset) @ R
     inside = np.flatnonzero(((xy >= 0) & (xy <= (width - 1, height - 1))).all(axis=1))
@@ -225,7 +246,9 @@ class _Scales:
 _EVERY_SCALE = _Scales(_LARGEST_VIEW, levels=32, even=True)
 
 
-def _described(grey: Image, options: DescriptionOptions, count: int, scales: _Scales = _EVERY_SCALE) -> Descriptions:
+def _described(
+    grey: Image, options: DescriptionOptions, extractor: FeatureExtractor, count: int, scales: _Scales = _EVERY_SCALE
+) -> Descriptions:
     o = options
     pyramid = build_pyramid(
         preprocessed(grey, o.preprocess, o.kernel),
@@ -239,8 +262,7 @@ def _described(grey: Image, options: DescriptionOptions, count: int, scales: _Sc
     if o.band_passed:
         pyramid = band_passed(pyramid)
     pyramid = with_edges(pyramid, o.preprocess)
-    keypoints = detect(pyramid, o.detector, count, even_scales=scales.even, fast_arc=o.fast_arc)
-    return describe(pyramid, keypoints, o.descriptor)
+    return extractor.extract(pyramid, count, scales.even)
 
 
 def _gathered(described: Descriptions, options: DescriptionOptions) -> TargetFeatures:

@@ -26,6 +26,7 @@ from imgu_ros.reference.features import (
     thorough_parameters,
 )
 from imgu_ros.types import Floats, Image, Matrix3, Points
+from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
@@ -259,6 +260,7 @@ def _known(image: TargetImage, parameters: Parameters, parts: BuildCache) -> Tar
     weights = p.raw.grey_weights if pixels.ndim == 3 else ()
     grey = parts.make(_grey, pixels, weights)
     first, thorough = description_options(p), description_options(thorough_parameters(p))
+    extractor = parts.make(make_extractor, first.extractor)
     pyramids = parts.make(AlignmentPyramids, image, weights, p.pyramid.kernel)
     return parts.make(
         Target,
@@ -266,9 +268,9 @@ def _known(image: TargetImage, parameters: Parameters, parts: BuildCache) -> Tar
         image.width_m,
         image,
         grey,
-        parts.make(_on_demand, target_features, grey, first),
-        parts.make(_on_demand, close_features, grey, first),
-        parts.make(_on_demand, thorough_features, grey, thorough),
+        parts.make(_on_demand, target_features, grey, first, extractor),
+        parts.make(_on_demand, close_features, grey, first, extractor),
+        parts.make(_on_demand, thorough_features, grey, thorough, extractor),
         parts.make(AlignmentPictures, pyramids, p.refinement.max_points),
     )
 

@@ -24,8 +24,8 @@ from imgu_ros.config.parameters import (
 )
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError, ShapeError
-from imgu_ros.vision.descriptors.describe import DescriptorKind
 from imgu_ros.vision.matching.metrics import Metric, metric_for, metrics_of
+from imgu_ros.vision.methods import DESCRIPTORS
 
 BITS = {"orb", "brief"}
 HISTOGRAMS = {"sift", "rootsift"}
@@ -85,7 +85,7 @@ def test_every_combination_is_accepted_or_refused_in_one_line() -> None:
 
 
 def test_metrics_are_those_of_the_library() -> None:
-    for kind in DescriptorKind:
+    for kind in DESCRIPTORS:
         for metric in Metric:
             parameters = Parameters(
                 descriptor=DescriptorParameters(kind=str(kind)), matching=MatchingParameters(metric=str(metric))

@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from imgu_ros.config.parameters import FramesParameters, Parameters, declaration, declarations
 from imgu_ros.config.values import checked_value, parameter_values, parameters_from
 from imgu_ros.errors import ParameterError
-from imgu_ros.vision.descriptors.describe import DescriptorKind
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.formation.bands import BandMode
 from imgu_ros.vision.formation.demosaic import DemosaicMethod
-from imgu_ros.vision.keypoints.detect import Detector
 from imgu_ros.vision.matching.metrics import Metric
+from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel
 from imgu_ros.vision.scale_space.pyramid import PyramidKind
 
@@ -267,6 +266,8 @@ def test_every_parameter_is_read_somewhere(repository):
     files = [path for path in (repository / "imgu_ros").rglob("*.py") if path.name not in _DECLARED_OR_CHECKED]
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
     read = {node.attr for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    rows = (*DETECTORS.values(), *DESCRIPTORS.values())
+    read |= {name.split(".")[-1] for row in rows for name in (row.settings or {}).values()}
     assert {known.name for known in ALL if known.name.split(".")[-1] not in read} == {"reference"}
 
 
@@ -276,8 +277,8 @@ def test_every_parameter_is_read_somewhere(repository):
         ("demosaic.method", DemosaicMethod),
         ("pyramid.kind", PyramidKind),
         ("pyramid.kernel", GaussianKernel),
-        ("keypoints.detector", Detector),
-        ("descriptor.kind", DescriptorKind),
+        ("keypoints.detector", DETECTORS),
+        ("descriptor.kind", DESCRIPTORS),
         ("matching.metric", Metric),
         ("homography.sampler", Sampler),
         ("raw.band_mode", BandMode),

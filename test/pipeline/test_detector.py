@@ -14,7 +14,7 @@ from imgu_ros.detect.search_passes import SearchPass
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.features import thorough_parameters
+from imgu_ros.reference.features import extractor_options, thorough_parameters
 from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.result import Status
 from imgu_ros.simulate.conditions import condition_named
@@ -23,6 +23,7 @@ from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.stage_clock import StageClock
+from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.projective.transform import transform
 
@@ -114,11 +115,9 @@ def test_what_was_found_is_not_looked_at_again(targets: tuple, two_target_frames
     result = Localizer(parameters, targets[:1]).process(simulated.frame, with_keypoints=True)
     outline = result.first.outline
     pictures = GreyPyramid(develop(simulated.frame.image, parameters.raw, parameters.demosaic))
-    features = find_features(pictures, parameters, StageClock())
-    view = seeking.View(simulated.frame, pictures, features, [outline])
-    again = list(
-        seeking.ReferenceDetector(targets, parameters).seek(view, [0, 1], StageClock(), although_tracked=False)
-    )
+    detector = seeking.ReferenceDetector(targets, parameters)
+    view = seeking.View(simulated.frame, pictures, detector.features(pictures, StageClock()), [outline])
+    again = list(detector.seek(view, [0, 1], StageClock(), although_tracked=False))
     assert {r.number: r.status.found for r in again} == {0: False, 1: True}
 
 
@@ -135,7 +134,8 @@ def test_keypoints_of_a_reduced_frame_lie_where_they_are(size: tuple[int, int]) 
     raw = RawImage(pixels, PixelLayout(ColorModel.MONO))
     parameters = parameters_from({})
     for p in (parameters, thorough_parameters(parameters)):
-        features = find_features(GreyPyramid(develop(raw, p.raw, p.demosaic)), p, StageClock())
+        pictures = GreyPyramid(develop(raw, p.raw, p.demosaic))
+        features = find_features(pictures, p, make_extractor(extractor_options(p)), StageClock())
         assert max(features.pyramid.levels[0].image.shape) <= p.pyramid.max_side_px
         keypoints = features.described.keypoints
         xy = keypoints.xy[keypoints.octave == 0]

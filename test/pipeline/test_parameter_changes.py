@@ -130,7 +130,7 @@ def made(tracking: Built, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         return call
 
-    monkeypatch.setattr(target_features, "describe", counted("descriptions", target_features.describe))
+    monkeypatch.setattr(target_features, "_described", counted("descriptions", target_features._described))
     monkeypatch.setattr(targets, "build_pyramid", counted(PYRAMIDS, targets.build_pyramid))
     monkeypatch.setattr(targets, "_corners", counted(CORNERS, targets._corners))
     monkeypatch.setattr(targets, "PatchBank", counted(PATCHES, targets.PatchBank))

@@ -239,8 +239,8 @@ def test_lost_targets_are_told_too() -> None:
 def test_a_stage_describes_a_target_only_where_it_must(monkeypatch: pytest.MonkeyPatch) -> None:
     """The six stages, and parameters that change: only the matcher needs descriptors, and of the same values once."""
     described: list[Any] = []
-    describe = target_features.describe
-    monkeypatch.setattr(target_features, "describe", lambda *given: described.append(given) or describe(*given))
+    describe = target_features._described
+    monkeypatch.setattr(target_features, "_described", lambda *given: described.append(given) or describe(*given))
     images = list(default_targets(1, seed=3))
     parameters = parameters_from(OFF)
     six = Six(parameters, images)

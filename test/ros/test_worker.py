@@ -73,8 +73,8 @@ class Running:
 def described(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """One entry for every view of a target that was described."""
     made: list[Any] = []
-    describe = target_features.describe
-    monkeypatch.setattr(target_features, "describe", lambda *given: made.append(given) or describe(*given))
+    describe = target_features._described
+    monkeypatch.setattr(target_features, "_described", lambda *given: made.append(given) or describe(*given))
     return made
 
 

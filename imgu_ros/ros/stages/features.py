@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
+from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.parameters import Parameters
-from imgu_ros.detect.features import Reduced, described_features, frame_pyramid
+from imgu_ros.detect.features import Reduced, extracted_features, frame_pyramid
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.image import decode_image
 from imgu_ros.messages.reduced_info import Covered, decode_covered
+from imgu_ros.reference.features import extractor_options
+from imgu_ros.reference.planar import TargetImage
 from imgu_ros.result import Result
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
@@ -25,6 +28,7 @@ from imgu_ros.ros.stages.stage import Stage, frame_without_image, picture_feed, 
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Image
+from imgu_ros.vision.descriptors.extractor import DetectorDescriptor, FeatureExtractor, make_extractor
 from imgu_ros.vision.scale_space.pyramid import Level, Pyramid
 
 _FIRST = f"{LEVELS}0"
@@ -41,6 +45,16 @@ class FeaturesStage(Stage):
     name = "features"
     takes = (_FIRST,)
     choice = Choice(lambda topic: topic == "keypoints", {})
+    _parts: BuildCache | None = None
+    _extractor: FeatureExtractor = DetectorDescriptor(extractor_options(Parameters()))
+
+    def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
+        """See `Stage.use`."""
+        parts = BuildCache(self._parts)
+        extractor = parts.make(make_extractor, extractor_options(parameters))
+        super().use(parameters, images)
+        parts.settle()
+        self._parts, self._extractor = parts, extractor
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
         """See `Stage.topics`."""
@@ -67,7 +81,7 @@ class FeaturesStage(Stage):
         full = np.array((shown.width, shown.height), np.float64)
         pyramid = Pyramid(tuple(Level(picture, full / np.array(picture.shape[1::-1])) for picture in pictures))
         clock = StageClock()
-        features = described_features(pyramid, self.parameters, clock)
+        features = extracted_features(pyramid, self._extractor, self.parameters.keypoints.max_count, clock)
         described = features.described
         outputs.publish(
             Result(

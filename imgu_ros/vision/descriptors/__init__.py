@@ -26,8 +26,14 @@ Parameters: `descriptor.kind`. Notes: 4.2.4, 5.1, 5.2, 5.4, 5.5.
 """
 
 from imgu_ros.vision.descriptors.brief import brief_pairs, describe_brief
-from imgu_ros.vision.descriptors.describe import Descriptions, DescriptorKind, describe, empty_descriptors
+from imgu_ros.vision.descriptors.describe import Descriptions, describe, empty_descriptors
 from imgu_ros.vision.descriptors.described import Described, checked_corners
+from imgu_ros.vision.descriptors.extractor import (
+    DetectorDescriptor,
+    ExtractorOptions,
+    FeatureExtractor,
+    make_extractor,
+)
 from imgu_ros.vision.descriptors.orb import describe_orb
 from imgu_ros.vision.descriptors.patch import describe_patch, sample_patches
 from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
@@ -35,7 +41,9 @@ from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
 __all__ = [
     "Described",
     "Descriptions",
-    "DescriptorKind",
+    "DetectorDescriptor",
+    "ExtractorOptions",
+    "FeatureExtractor",
     "brief_pairs",
     "checked_corners",
     "describe",
@@ -45,5 +53,6 @@ __all__ = [
     "describe_rootsift",
     "describe_sift",
     "empty_descriptors",
+    "make_extractor",
     "sample_patches",
 ]

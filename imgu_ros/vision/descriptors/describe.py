@@ -3,36 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Image, Indices, as_matrix, as_points
-from imgu_ros.vision.descriptors.brief import describe_brief
-from imgu_ros.vision.descriptors.described import Described
-from imgu_ros.vision.descriptors.orb import describe_orb
-from imgu_ros.vision.descriptors.patch import SIDE, describe_patch
-from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
-from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
+from imgu_ros.types import Image, Indices, as_matrix, as_points
+from imgu_ros.vision.keypoints.keypoints import Keypoints, on_level
+from imgu_ros.vision.methods import DESCRIPTORS, Descriptor, method_named
 from imgu_ros.vision.scale_space.pyramid import Pyramid
-
-
-class DescriptorKind(Choice):
-    """Descriptors."""
-
-    ORB = "orb"  #: 256 comparisons in a turned patch, 32 bytes
-    SIFT = "sift"  #: 4x4 histograms of 8 gradient directions, 128 numbers
-    ROOTSIFT = "rootsift"  #: the square roots of SIFT's, 128 numbers
-    BRIEF = "brief"  #: 256 comparisons in an upright patch, 32 bytes
-    PATCH = "patch"  #: the pixels of a turned and scaled patch, 169 numbers
-
-    @property
-    def is_binary(self) -> bool:
-        """Whether bits are compared (uint8 rows) rather than numbers (float32 rows)."""
-        return self in (DescriptorKind.ORB, DescriptorKind.BRIEF)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,26 +23,31 @@ class Descriptions:
     Attributes
     ----------
     keypoints : those that could be described, N of them
-    descriptors : (N, 32) uint8 for orb and brief, (N, 128) float32 for sift and rootsift, (N, 169) float32 for patch
+    descriptors : (N, D); (N, 32) uint8 for orb and brief, (N, 128) float32 for sift and rootsift, (N, 169) float32 for
+        patch
     """
 
     keypoints: Keypoints
     descriptors: Image
 
 
-def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str = DescriptorKind.ORB) -> Descriptions:
+def describe(
+    pyramid: Pyramid, keypoints: Keypoints, kind: Descriptor | str = "orb", parameters: Any = None
+) -> Descriptions:
     """Describe keypoints, each on the level of the pyramid that fits its scale; those too near a border are dropped.
 
     Parameters
     ----------
     pyramid : of the (H, W) uint8 image that the keypoints were found on
     keypoints : in full-resolution coordinates
-    kind : see `DescriptorKind`
+    kind : orb, sift, rootsift, brief, patch, or the row of another one (see `imgu_ros.vision.methods`)
+    parameters : the descriptor's own; None: its defaults
 
     Raises
     ------
     ShapeError
-        If a keypoint names a level that the pyramid lacks, or their arrays do not fit each other or are not finite.
+        If a keypoint names a level that the pyramid lacks, their arrays do not fit each other or are not finite, or the
+        descriptor is unknown or finds its own keypoints.
 
     Examples
     --------
@@ -75,25 +61,28 @@ def describe(pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorKind | str 
     """
     require_type(pyramid, Pyramid, "pyramid")
     require_type(keypoints, Keypoints, "keypoints")
-    kind = DescriptorKind(kind)
+    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    if row.detects:
+        raise ShapeError(f"kind: {row.name!r} finds its own keypoints; need a descriptor of given ones")
     keypoints = _checked(keypoints)
     if len(keypoints) and not 0 <= int(keypoints.octave.min()) <= int(keypoints.octave.max()) < len(pyramid.levels):
         raise ShapeError(f"keypoints.octave: up to {keypoints.octave.max()}; need 0 to {len(pyramid.levels) - 1}")
     rows: list[Image] = []
     kept: list[Indices] = []
+    function = row.made(parameters)
     for index, level in enumerate(pyramid.levels):
         chosen = np.flatnonzero(keypoints.octave == index)
         if not len(chosen):
             continue
-        described = _DESCRIBERS[kind](level.image, on_level(keypoints.chosen(chosen), level))
+        described = function(level.image, on_level(keypoints.chosen(chosen), level))
         rows.append(described.descriptors)
         kept.append(chosen[described.index])
     if not rows:
-        return Descriptions(keypoints.chosen(np.zeros(0, np.intp)), empty_descriptors(kind))
+        return Descriptions(keypoints.chosen(np.zeros(0, np.intp)), empty_descriptors(row))
     return Descriptions(keypoints.chosen(np.concatenate(kept)), np.concatenate(rows))
 
 
-def empty_descriptors(kind: DescriptorKind | str) -> Image:
+def empty_descriptors(kind: Descriptor | str) -> Image:
     """Return no descriptors of a kind, (0, D) uint8 or float32.
 
     Examples
@@ -101,10 +90,8 @@ def empty_descriptors(kind: DescriptorKind | str) -> Image:
     >>> empty_descriptors("patch").shape
     (0, 169)
     """
-    kind = DescriptorKind(kind)
-    if kind.is_binary:
-        return np.zeros((0, 32), np.uint8)
-    return np.zeros((0, SIDE**2 if kind is DescriptorKind.PATCH else 128), np.float32)
+    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    return np.zeros((0, row.columns), np.uint8 if row.is_binary else np.float32)
 
 
 def _checked(keypoints: Keypoints) -> Keypoints:
@@ -119,11 +106,3 @@ def _checked(keypoints: Keypoints) -> Keypoints:
 
 
 _LARGEST_OCTAVE = 2**31
-
-_DESCRIBERS: dict[DescriptorKind, Callable[[Image, Corners], Described]] = {
-    DescriptorKind.ORB: describe_orb,
-    DescriptorKind.SIFT: describe_sift,
-    DescriptorKind.ROOTSIFT: describe_rootsift,
-    DescriptorKind.BRIEF: describe_brief,
-    DescriptorKind.PATCH: describe_patch,
-}

@@ -28,11 +28,11 @@ Notes 4.2.1 to 4.2.4 and 4.3.1; Harris & Stephens 1988, Moravec 1980, Rosten & D
 2002, Rublee et al. 2011. The angle is measured from x towards y, clockwise as seen.
 """
 
-from imgu_ros.vision.keypoints.detect import Detector, detect
+from imgu_ros.vision.keypoints.detect import detect, level_shares
 from imgu_ros.vision.keypoints.dog import detect_dog
 from imgu_ros.vision.keypoints.dog_centres import refined_centres
 from imgu_ros.vision.keypoints.dominant import Orientations, dominant_orientations
-from imgu_ros.vision.keypoints.fast import detect_fast
+from imgu_ros.vision.keypoints.fast import FastParameters, detect_fast, fast_detector
 from imgu_ros.vision.keypoints.harris import detect_harris, harris_response
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
 from imgu_ros.vision.keypoints.moravec import detect_moravec, moravec_response
@@ -46,7 +46,7 @@ from imgu_ros.vision.keypoints.spreading import spread
 
 __all__ = [
     "Corners",
-    "Detector",
+    "FastParameters",
     "Keypoints",
     "Orientations",
     "Peaks",
@@ -62,9 +62,11 @@ __all__ = [
     "detect_mser",
     "detect_orb",
     "dominant_orientations",
+    "fast_detector",
     "find_peaks",
     "find_regions",
     "harris_response",
+    "level_shares",
     "moravec_response",
     "on_level",
     "opencv_keypoints",

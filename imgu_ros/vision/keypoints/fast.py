@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from imgu_ros.arguments import as_integer
+from imgu_ros.arguments import as_integer, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Points, as_image
 from imgu_ros.vision.keypoints.keypoints import Corners
@@ -27,6 +30,20 @@ _RING = np.array(
 )  # fmt: skip
 _COMPASS = slice(0, 16, 4)
 _EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class FastParameters:
+    """Parameters of `detect_fast`: see there."""
+
+    arc: int = 9
+    threshold: int = THRESHOLD
+
+
+def fast_detector(parameters: FastParameters) -> Callable[[Image, int], Corners]:
+    """Return `detect_fast` with `parameters`."""
+    require_type(parameters, FastParameters, "parameters")
+    return partial(detect_fast, arc=parameters.arc, threshold=parameters.threshold)
 
 
 def detect_fast(image: Image, max_count: int, arc: int = 9, threshold: int = THRESHOLD) -> Corners:

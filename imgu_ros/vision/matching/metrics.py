@@ -8,7 +8,7 @@ import numpy as np
 from imgu_ros.arguments import as_integer, shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices, as_plain
-from imgu_ros.vision.descriptors.describe import DescriptorKind
+from imgu_ros.vision.methods import DESCRIPTORS, Descriptor, method_named
 
 
 class Metric(Choice):
@@ -23,7 +23,7 @@ class Metric(Choice):
     NCC = "ncc"  #: 1 - cosine of the angle between the rows less their means: 1 - normalised cross-correlation
 
 
-def metrics_of(kind: DescriptorKind | str) -> tuple[Metric, ...]:
+def metrics_of(kind: Descriptor | str) -> tuple[Metric, ...]:
     """Return the metrics that make sense for a kind of descriptor, the one that `auto` stands for first.
 
     Examples
@@ -31,10 +31,11 @@ def metrics_of(kind: DescriptorKind | str) -> tuple[Metric, ...]:
     >>> [str(metric) for metric in metrics_of("patch")]
     ['ncc', 'zmssd', 'ssd']
     """
-    return _METRICS[DescriptorKind(kind)]
+    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    return tuple(map(Metric, row.metrics))
 
 
-def metric_for(kind: DescriptorKind | str, metric: Metric | str = Metric.AUTO) -> Metric:
+def metric_for(kind: Descriptor | str, metric: Metric | str = Metric.AUTO) -> Metric:
     """Return the metric for a kind of descriptor: `auto` becomes the best one, another is checked.
 
     Raises
@@ -47,12 +48,12 @@ def metric_for(kind: DescriptorKind | str, metric: Metric | str = Metric.AUTO) -
     >>> str(metric_for("sift", "auto"))
     'euclidean'
     """
-    kind, metric = DescriptorKind(kind), Metric(metric)
-    sensible = _METRICS[kind]
+    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    metric, sensible = Metric(metric), metrics_of(row)
     if metric is Metric.AUTO:
         return sensible[0]
     if metric not in sensible:
-        raise ShapeError(f"metric {metric}: {_NATURE[kind]}; need {' or '.join(sensible)}")
+        raise ShapeError(f"metric {metric}: {row.name} {row.nature}; need {' or '.join(sensible)}")
     return metric
 
 
@@ -136,19 +137,3 @@ def require_index(index: Indices, length: int, count: int) -> None:
         raise ShapeError(f"index: {getattr(index, 'shape', type(index).__name__)}; need ({length},) integers")
     if len(index) and not 0 <= index.min() <= index.max() < count:
         raise ShapeError(f"index: {index.min()} to {index.max()}; need 0 to {count - 1}")
-
-
-_METRICS = {
-    DescriptorKind.ORB: (Metric.HAMMING,),
-    DescriptorKind.BRIEF: (Metric.HAMMING,),
-    DescriptorKind.SIFT: (Metric.EUCLIDEAN, Metric.COSINE),
-    DescriptorKind.ROOTSIFT: (Metric.EUCLIDEAN, Metric.COSINE),
-    DescriptorKind.PATCH: (Metric.NCC, Metric.ZMSSD, Metric.SSD),
-}
-_NATURE = {
-    DescriptorKind.ORB: "orb is bits, which are compared one by one",
-    DescriptorKind.BRIEF: "brief is bits, which are compared one by one",
-    DescriptorKind.SIFT: "sift is a histogram of numbers, already free of brightness and contrast",
-    DescriptorKind.ROOTSIFT: "rootsift is a histogram of numbers, already free of brightness and contrast",
-    DescriptorKind.PATCH: "patch is pixels, which are compared as such",
-}

@@ -9,7 +9,7 @@ import pytest
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.vision.descriptors.brief import describe_brief
-from imgu_ros.vision.descriptors.describe import DescriptorKind, describe, empty_descriptors
+from imgu_ros.vision.descriptors.describe import describe, empty_descriptors
 from imgu_ros.vision.descriptors.orb import describe_orb
 from imgu_ros.vision.descriptors.patch import describe_patch
 from imgu_ros.vision.descriptors.sift import describe_rootsift, describe_sift
@@ -17,9 +17,10 @@ from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints
 from imgu_ros.vision.matching.metrics import metric_for
 from imgu_ros.vision.matching.nearest import match
+from imgu_ros.vision.methods import DESCRIPTORS
 from imgu_ros.vision.scale_space.pyramid import build_pyramid
 
-KINDS = list(DescriptorKind)
+KINDS = list(DESCRIPTORS)
 TURNING = [kind for kind in KINDS if kind != "brief"]  # BRIEF is upright
 FORM = {
     "orb": (32, np.uint8),

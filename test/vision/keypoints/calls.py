@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgu_ros.vision.keypoints.detect import detect
+from imgu_ros.vision.keypoints.detect import detect, level_shares
 from imgu_ros.vision.keypoints.dog import detect_dog
 from imgu_ros.vision.keypoints.dog_centres import refined_centres
 from imgu_ros.vision.keypoints.dominant import dominant_orientations
-from imgu_ros.vision.keypoints.fast import detect_fast
+from imgu_ros.vision.keypoints.fast import FastParameters, detect_fast, fast_detector
 from imgu_ros.vision.keypoints.harris import detect_harris, harris_response
 from imgu_ros.vision.keypoints.keypoints import Corners, Keypoints, on_level
 from imgu_ros.vision.keypoints.moravec import detect_moravec, moravec_response
@@ -56,6 +56,8 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
         "radius_px": 9.0,
     },
     detect: lambda rng: {"pyramid": build_pyramid(picture(rng)), "detector": "harris", "max_count": 20},
+    level_shares: lambda rng: {"pyramid": build_pyramid(picture(rng)), "max_count": 20},
+    fast_detector: lambda rng: {"parameters": FastParameters(arc=12)},
     detect_dog: lambda rng: {"image": picture(rng), "max_count": 20},
     refined_centres: lambda rng: {
         "image": picture(rng),

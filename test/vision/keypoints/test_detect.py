@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.descriptors.describe import DescriptorKind, describe
-from imgu_ros.vision.keypoints.detect import Detector, detect
+from imgu_ros.vision.descriptors.describe import describe
+from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.dog import detect_dog
-from imgu_ros.vision.keypoints.fast import detect_fast
+from imgu_ros.vision.keypoints.fast import FastParameters, detect_fast
 from imgu_ros.vision.keypoints.harris import detect_harris
 from imgu_ros.vision.keypoints.keypoints import on_level
 from imgu_ros.vision.keypoints.moravec import detect_moravec
 from imgu_ros.vision.keypoints.mser import detect_mser
 from imgu_ros.vision.keypoints.orb import detect_orb
+from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
 from imgu_ros.vision.scale_space.pyramid import build_pyramid
 
-DETECTORS = list(Detector)
 ON_ONE_PICTURE = {
     "fast": detect_fast,
     "harris": detect_harris,
@@ -87,7 +87,7 @@ def test_scale_follows_the_level(detector):
         assert (np.diff(of_level.response) <= 0).all()
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("detector", list(DETECTORS))
 def test_count_is_a_limit_and_is_reached(detector):
     pyramid = build_pyramid(texture(240, 320, smoothing=0.8), "fine", 5)
     for count in (1, 7, 100):
@@ -140,7 +140,7 @@ def test_rotation_by_right_angles_is_exact(detector, turns):
     assert angle_between(rotated.angle[partner], turned).max() < (0.02 if detector == "orb" else 1e-6)
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("detector", list(DETECTORS))
 @pytest.mark.parametrize("angle_deg", [25, 115, 200])
 def test_rotation_by_other_angles(detector, angle_deg):
     picture = texture(260, 260, 4, 2.0)
@@ -170,7 +170,7 @@ def test_symmetric_dots_give_one_harris_corner_each():
     assert pairs.min() > 1.0
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("detector", list(DETECTORS))
 @pytest.mark.parametrize("shape", [(1, 1), (1, 60), (60, 1), (5, 5), (8, 9), (9, 9), (31, 31), (32, 33), (33, 200)])
 def test_tiny_and_narrow_pictures(detector, shape):
     picture = np.random.default_rng(5).integers(0, 256, shape, np.uint8)
@@ -179,14 +179,14 @@ def test_tiny_and_narrow_pictures(detector, shape):
     assert np.isfinite(found.xy).all() and np.isfinite(found.angle).all()
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("detector", list(DETECTORS))
 def test_flat_pictures_have_none(detector):
     for value in (0, 128, 255):
         found = detect(build_pyramid(np.full((120, 120), value, np.uint8), "fine"), detector, 100)
         assert len(found) == 0 and found.xy.shape == (0, 2) and found.octave.dtype == np.int32
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("detector", list(DETECTORS))
 def test_read_only_views_and_repeatability(detector):
     wide = texture(100, 200, 6)
     view = wide[:, 50:170]
@@ -197,7 +197,7 @@ def test_read_only_views_and_repeatability(detector):
     np.testing.assert_allclose(first.angle, second.angle, atol=1e-8)
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("detector", list(DETECTORS))
 @pytest.mark.parametrize(
     "picture",
     [
@@ -232,12 +232,12 @@ def test_bad_arguments_are_refused(dtype, detector, count):
 @pytest.mark.parametrize("arc", [8, 13, 0])
 def test_bad_arcs_are_refused(arc):
     with pytest.raises(ShapeError, match=r"^arc: [^\n]+need 9, 10, 11 or 12$"):
-        detect(build_pyramid(np.zeros((50, 50), np.uint8)), "fast", 5, fast_arc=arc)
+        detect(build_pyramid(np.zeros((50, 50), np.uint8)), "fast", 5, parameters=FastParameters(arc))
 
 
 def test_longer_arcs_reach_every_level():
     pyramid = build_pyramid(texture(256, 256, 7, 0.8), "coarse", 3)
-    nine, twelve = (detect(pyramid, "fast", 10_000, fast_arc=arc) for arc in (9, 12))
+    nine, twelve = (detect(pyramid, "fast", 10_000, parameters=FastParameters(arc)) for arc in (9, 12))
     assert 0 < len(twelve) < len(nine)
     assert set(twelve.octave.tolist()) == set(nine.octave.tolist())
 
@@ -256,8 +256,8 @@ def test_faint_corners_far_from_a_crowd_are_not_forgotten(detector):
     assert outside > 0.25
 
 
-@pytest.mark.parametrize("descriptor", list(DescriptorKind))
-@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("descriptor", list(DESCRIPTORS))
+@pytest.mark.parametrize("detector", list(DETECTORS))
 def test_every_detector_with_every_descriptor(detector, descriptor):
     pyramid = build_pyramid(texture(200, 240, 9, 1.5), "fine", 6)
     found = detect(pyramid, detector, 200)

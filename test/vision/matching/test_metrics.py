@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.descriptors.describe import DescriptorKind, empty_descriptors
+from imgu_ros.vision.descriptors.describe import empty_descriptors
 from imgu_ros.vision.matching.metrics import Metric, metric_for, metric_of_rows, metrics_of
+from imgu_ros.vision.methods import DESCRIPTORS
 
 SENSIBLE = {
     "orb": {"hamming"},
@@ -19,7 +20,7 @@ SENSIBLE = {
 }
 
 
-@pytest.mark.parametrize(("kind", "metric"), list(itertools.product(DescriptorKind, Metric)))
+@pytest.mark.parametrize(("kind", "metric"), list(itertools.product(DESCRIPTORS, Metric)))
 def test_sensible_pairs_pass_and_others_are_refused_with_the_reason(kind, metric):
     if metric == "auto":
         assert metric_for(kind, metric) == metrics_of(kind)[0]
@@ -30,7 +31,7 @@ def test_sensible_pairs_pass_and_others_are_refused_with_the_reason(kind, metric
             metric_for(kind, metric)
 
 
-@pytest.mark.parametrize("kind", DescriptorKind)
+@pytest.mark.parametrize("kind", list(DESCRIPTORS))
 def test_sensible_metrics_fit_the_rows(kind):
     assert set(metrics_of(kind)) == SENSIBLE[kind]
     for metric in metrics_of(kind):
