@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from same_numbers import ROOT, Job, bag_messages, export, run_jobs
+from same_numbers import ROOT, Job, bag_messages, commit_of, export, run_jobs
 
 #: Names of items, such as `parameter homography.score choice truncated`, with a value that must stay (or "").
 Inventory = dict[str, str]
@@ -234,7 +234,8 @@ def main(arguments: Sequence[str]) -> int:
         if parsed.list:
             print(*(f"{item}: {value}" if value else item for item, value in new.items()), sep="\n")
             return 0
-        commit = export(parsed.revision, folder / "tree")
+        commit = commit_of(parsed.revision)
+        export(commit, folder / "tree")
         old = inventory(folder / "tree", folder / "old")
     lost = losses(old, new)
     added = [item for item in new if item not in old]

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare the results of `imgu replay` of this working tree with those of another revision, byte for byte.
 
-Both trees replay the same short recordings, each in a process of its own. Compared are `frames.csv` without its times,
-the trajectories, `ambiguous.csv`, `summary.json` without times and versions, the messages of the results bag, and the
-exit code. The recordings and cases are in `same_numbers_cases.py`. Exits 1 when a case differs.
+Both trees replay the same short recordings, each in a process of its own; a few cases run other commands. Compared are
+`frames.csv` without its times, the trajectories, `ambiguous.csv`, `summary.json` without times and versions, the
+messages of bags, pictures, and the exit code. The recordings and cases are in `same_numbers_cases.py`. Exits 1 when a
+case differs. Recordings and the older tree's results are kept for the next run, in `$XDG_CACHE_HOME` or `~/.cache`.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
+import fcntl
+import hashlib
 import importlib
 import json
 import os
@@ -22,14 +26,20 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from same_numbers_cases import Case
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Columns of frames.csv that hold times.
 _TIME_COLUMN = re.compile(r"t_\w+_ms")
-#: Parts of summary.json that hold times or versions.
-_TIMES_AND_VERSIONS = re.compile(r"(seconds|frames_per_s|versions|(total|stage)_ms)\b")
+#: Revisions whose recordings and results are kept, some 60 MB each.
+_KEPT = 4
+#: Entries of summary.json and of other JSON files that hold times or versions.
+_TIMES_AND_VERSIONS = re.compile(r"(seconds|frames_per_s|versions|((total|stage)_)?ms)\b")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +72,10 @@ def compare_folders(old: Path, new: Path, ignored: frozenset[str] = frozenset())
     ignored : names of columns of tables, of entries of the summary, and of topics that are not compared
     """
     files = {path.name for path in old.iterdir() if not path.name.startswith(".")}
+    if "metadata.yaml" in files:
+        files.remove("metadata.yaml")
+        for difference in compare_bags(old, new, ignored):
+            return difference
     for name in sorted(files):
         if not (new / name).exists():
             return Difference(name, "a file", None)
@@ -71,14 +85,16 @@ def compare_folders(old: Path, new: Path, ignored: frozenset[str] = frozenset())
 
 
 def _compare_file(old: Path, new: Path, ignored: frozenset[str]) -> Iterator[Difference]:
-    if old.suffix == ".csv":
-        yield from compare_tables(old, new, ignored)
-    elif old.suffix == ".tum":
-        yield from compare_lines(old, new)
-    elif old.name == "summary.json":
-        yield from compare_summaries(old, new, ignored)
-    elif old.is_dir():
+    if old.is_dir():
         yield from compare_bags(old, new, ignored)
+    elif old.suffix == ".csv":
+        yield from compare_tables(old, new, ignored)
+    elif old.suffix in (".tum", ".yaml"):
+        yield from compare_lines(old, new)
+    elif old.suffix == ".json":
+        yield from compare_entries(old, new, ignored)
+    elif old.suffix not in (".html", ".mcap", ".db3") and old.read_bytes() != new.read_bytes():
+        yield Difference(old.name, f"{old.stat().st_size} bytes", f"{new.stat().st_size} other bytes")
 
 
 def compare_tables(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
@@ -106,8 +122,8 @@ def _table(path: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def compare_lines(old: Path, new: Path) -> Iterator[Difference]:
-    """Compare two text files line by line."""
-    old_lines, new_lines = old.read_text().splitlines(), new.read_text().splitlines()
+    """Compare two text files line by line; the folder that each is in may be named there."""
+    old_lines, new_lines = (path.read_text().replace(f"{path.parent}/", "").splitlines() for path in (old, new))
     for number, (was, is_) in enumerate(zip(old_lines, new_lines, strict=False), 1):
         if was != is_:
             yield Difference(f"{old.name}, line {number}", was, is_)
@@ -115,8 +131,8 @@ def compare_lines(old: Path, new: Path) -> Iterator[Difference]:
         yield Difference(f"{old.name}, number of lines", str(len(old_lines)), str(len(new_lines)))
 
 
-def compare_summaries(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
-    """Compare two summary.json, except for times and versions; `new` may have more entries."""
+def compare_entries(old: Path, new: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Difference]:
+    """Compare two JSON files, except for times and versions; `new` may have more entries."""
     old_leaves, new_leaves = (dict(_leaves(json.loads(path.read_text()))) for path in (old, new))
     for name, was in old_leaves.items():
         if _TIMES_AND_VERSIONS.match(name) or ignored & set(re.split(r"[.\[\]]+", name)):
@@ -229,6 +245,10 @@ class Job:
     arguments: list[str]
     out: Path
 
+    def is_done(self) -> bool:
+        """Return whether it has ended."""
+        return Path(f"{self.out}.exit").exists()
+
     def text(self) -> str:
         """Return what the command printed."""
         return Path(f"{self.out}.log").read_text(errors="replace")
@@ -266,42 +286,67 @@ def _run_jobs_here(tree: Path, listing: Path) -> int:
     package = sys.modules[module_name.partition(".")[0]]
     if not Path(package.__file__ or "").resolve().is_relative_to(tree.resolve()):
         raise SystemExit(f"same_numbers: error: {package.__file__} was imported; need the package in {tree}")
-    for arguments, out in json.loads(listing.read_text()):
-        with Path(f"{out}.log").open("wb") as log:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            kept = os.dup(1), os.dup(2)
-            os.dup2(log.fileno(), 1)
-            os.dup2(log.fileno(), 2)
+    run = getattr(module, function_name)
+    for number, (arguments, out) in enumerate(json.loads(listing.read_text())):
+        shutil.rmtree(out, ignore_errors=True)
+        Path(out).mkdir()
+        with Path(f"{out}.log").open("wb") as log, _output_to(log.fileno()):
             try:
-                code = getattr(module, function_name)(arguments)
+                code = run(arguments)
             except Exception as error:
                 code = f"{type(error).__name__}: {error}"
-            finally:
-                sys.stdout.flush()
-                sys.stderr.flush()
-                os.dup2(kept[0], 1)
-                os.dup2(kept[1], 2)
-                os.close(kept[0])
-                os.close(kept[1])
-        Path(f"{out}.exit").write_text(f"{code}\n")
+        unfinished = Path(f"{out}.exit.part")
+        unfinished.write_text(f"{code}\n")
+        unfinished.rename(f"{out}.exit")
+        if number == 0:
+            _draw_no_more()
     return 0
 
 
-def export(revision: str, folder: Path) -> str:
-    """Write the files of a git revision into `folder`; return its commit."""
+@contextlib.contextmanager
+def _output_to(descriptor: int) -> Iterator[None]:
+    """Let what this process and its children print go elsewhere."""
+    kept = []
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+        kept.append(os.dup(stream.fileno()))
+        os.dup2(descriptor, stream.fileno())
+    try:
+        yield
+    finally:
+        for stream, old in zip((sys.stdout, sys.stderr), kept, strict=True):
+            stream.flush()
+            os.dup2(old, stream.fileno())
+            os.close(old)
+
+
+def _draw_no_more() -> None:
+    """Leave figures of reports out, which nobody compares: they take as long as all the rest."""
+    from matplotlib.figure import Figure
+
+    def savefig(self: Figure, file: Any, **options: Any) -> None:
+        if hasattr(file, "write"):
+            file.write(b"")
+
+    Figure.savefig = savefig  # type: ignore[method-assign]
+
+
+def commit_of(revision: str) -> str:
+    """Return the commit that a git revision names."""
     commit = subprocess.run(
         ["git", "-C", str(ROOT), "rev-parse", "--verify", f"{revision}^{{commit}}"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     if commit.returncode:
-        raise SystemExit(f"same_numbers: error: {revision}: not a git revision; need a commit, branch or tag")
-    folder.mkdir(parents=True)
-    archive = subprocess.run(
-        ["git", "-C", str(ROOT), "archive", commit.stdout.strip()], capture_output=True, check=True
-    )
-    subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
+        raise SystemExit(f"{sys.argv[0]}: error: {revision}: not a git revision; need a commit, branch or tag")
     return commit.stdout.strip()
+
+
+def export(commit: str, folder: Path) -> None:
+    """Write the files of a commit into `folder`."""
+    folder.mkdir(parents=True)
+    archive = subprocess.run(["git", "-C", str(ROOT), "archive", commit], capture_output=True, check=True)
+    subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -314,61 +359,112 @@ def main(arguments: Sequence[str]) -> int:
         "--ignore", action="append", default=[], metavar="NAME",
         help="a column, an entry of the summary, or a topic that is not compared (reason, reasons, status); repeat",
     )  # fmt: skip
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep recordings and results in DIR, which is new")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the results of both trees in DIR, which is new")
     parser.add_argument("--run-jobs", nargs=2, type=Path, help=argparse.SUPPRESS)
     parsed = parser.parse_args(arguments)
     if parsed.run_jobs:
         return _run_jobs_here(*parsed.run_jobs)
-    if parsed.keep is None:
-        with tempfile.TemporaryDirectory(prefix="same_numbers-") as folder:
-            return _compared(parsed, Path(folder))
-    parsed.keep.mkdir(parents=True)
-    return _compared(parsed, parsed.keep.resolve())
+    with tempfile.TemporaryDirectory(prefix="same_numbers-") as folder:
+        return _compared(parsed, Path(folder))
 
 
 def _compared(parsed: argparse.Namespace, folder: Path) -> int:
-    from same_numbers_cases import CASES, make_recordings
+    from same_numbers_cases import CASES
 
     cases = [case for case in CASES if case.is_quick or not parsed.quick]
     if parsed.case:
         cases = [case for case in cases if any(text in case.name for text in parsed.case)]
     if not cases:
         raise SystemExit("same_numbers: error: no case has such a name")
-    trees = {"old": folder / "tree", "new": ROOT}
-    commit = export(parsed.revision, trees["old"])
+    commit = commit_of(parsed.revision)
     print(f"{len(cases)} cases: {parsed.revision} ({commit[:10]}) and the working tree", flush=True)
+    different, ignored = 0, frozenset(parsed.ignore)
+    with _cache(commit) as cache:
+        for case, old, new in _results(cases, commit, cache, folder):
+            if old.failure():
+                raise SystemExit(f"same_numbers: error: {case.name} with {parsed.revision}: {old.failure()}")
+            failure = new.failure()
+            difference = (
+                Difference("exit code", "0", failure) if failure else compare_folders(old.out, new.out, ignored)
+            )
+            different += difference is not None
+            verdict = "same   " if difference is None else "DIFFERS"
+            print(verdict, case.name if difference is None else f"{case.name}: {difference}", flush=True)
+        if parsed.keep:
+            shutil.copytree(cache / "old", parsed.keep / "old")
+            shutil.copytree(folder / "new", parsed.keep / "new")
+    print(f"{different} of {len(cases)} cases differ" if different else f"{len(cases)} cases are the same")
+    return 1 if different else 0
+
+
+def _results(cases: list[Case], commit: str, cache: Path, folder: Path) -> Iterator[tuple[Case, Job, Job]]:
+    """Yield every case with its finished jobs of both trees; `cache` may have those of the old one already."""
+    from same_numbers_cases import make_recordings
+
+    old_tree = folder / "tree"
 
     def simulate(commands: list[tuple[list[str], Path]]) -> None:
-        jobs = [Job(command, out) for command, out in commands]
-        if run_jobs(trees["old"], jobs, folder / "recordings").wait():
+        if not old_tree.exists():
+            export(commit, old_tree)
+        if run_jobs(old_tree, [Job(*command) for command in commands], folder).wait():
             raise SystemExit("same_numbers: error: the recordings could not be made")
 
-    recordings = make_recordings({case.recording for case in cases}, folder / "recordings", simulate)
-    running = []
-    for name, tree in trees.items():
-        results = folder / name
-        jobs = [
-            Job(case.command(recordings[case.recording], results / case.name), results / case.name) for case in cases
-        ]
-        running.append(run_jobs(tree, jobs, results))
-    codes = [process.wait() for process in running]
-    if any(codes):
-        raise SystemExit("same_numbers: error: a process ended before its cases were done")
-    different, ignored = 0, frozenset(parsed.ignore)
-    for case in cases:
-        old, new = folder / "old" / case.name, folder / "new" / case.name
-        failure = Job([], old).failure()
-        if failure:
-            raise SystemExit(f"same_numbers: error: {case.name} with {parsed.revision}: {failure}")
-        failure = Job([], new).failure()
-        difference = Difference("exit code", "0", failure) if failure else compare_folders(old, new, ignored)
-        different += difference is not None
-        print(
-            f"{'same  ' if difference is None else 'DIFFERS'} {case.name}" + (f": {difference}" if difference else "")
-        )
-    print(f"{different} of {len(cases)} cases differ" if different else f"{len(cases)} cases are the same")
-    shutil.rmtree(trees["old"], ignore_errors=True)
-    return 1 if different else 0
+    recordings = cache / "recordings"
+    make_recordings({case.recording for case in cases}, recordings, simulate)
+    jobs = {
+        name: [Job(case.command(recordings, results / case.name), results / case.name) for case in cases]
+        for name, results in (("old", cache / "old"), ("new", folder / "new"))
+    }
+    processes = {"new": run_jobs(ROOT, jobs["new"], folder / "new")}
+    missing = [job for job in jobs["old"] if not job.is_done()]
+    if missing:
+        if not old_tree.exists():
+            export(commit, old_tree)
+        processes["old"] = run_jobs(old_tree, missing, cache / "old")
+    try:
+        for case, old, new in zip(cases, jobs["old"], jobs["new"], strict=True):
+            for name, job in (("old", old), ("new", new)):
+                while not job.is_done():
+                    if processes[name].poll() is not None and not job.is_done():
+                        raise SystemExit(f"same_numbers: error: {case.name}: the process of the {name} tree ended")
+                    time.sleep(0.1)
+            yield case, old, new
+    finally:
+        for process in processes.values():
+            process.terminate()
+            process.wait()
+
+
+@contextlib.contextmanager
+def _cache(commit: str) -> Iterator[Path]:
+    """Give the folder with recordings and results of a commit, to this process alone; a few folders are kept."""
+    sources = [Path(__file__), Path(__file__).with_name("same_numbers_cases.py")]
+    versions = [f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "opencv-python-headless", "rosbags")]
+    digest = hashlib.sha256("\n".join([*versions, *(path.read_text() for path in sources)]).encode()).hexdigest()
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "imgu_ros" / "same_numbers"
+    folder = root / f"{commit[:12]}-{digest[:12]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    with _locked(folder, wait=True):
+        os.utime(folder)
+        folders = [path for path in root.iterdir() if path.is_dir()]
+        for unused in sorted(folders, key=lambda path: path.stat().st_mtime)[:-_KEPT]:
+            with contextlib.suppress(BlockingIOError), _locked(unused, wait=False):
+                shutil.rmtree(unused)
+        yield folder
+
+
+@contextlib.contextmanager
+def _locked(folder: Path, wait: bool) -> Iterator[None]:
+    with folder.with_suffix(".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if not wait:
+                raise
+            print("waiting for another run with this revision", flush=True)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        folder.mkdir(exist_ok=True)
+        yield
 
 
 if __name__ == "__main__":

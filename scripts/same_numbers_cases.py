@@ -8,6 +8,8 @@ by `imgu simulate` of the older tree, or a row of `CHANGED`, made from a simulat
 from __future__ import annotations
 
 import copy
+import shlex
+import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -197,17 +199,30 @@ CHANGED = {
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One run of `imgu replay`: a recording, and options besides its own parameter file."""
+    """One run of `imgu replay`, or of another command.
+
+    Attributes
+    ----------
+    name : of the case
+    recording : that it needs
+    options : of `imgu replay` besides the recording's own parameter file; or a whole command line, in which `{out}` is
+        the folder for results and `{in}` that with recordings and pictures
+    is_quick : belongs to `--quick`
+    """
 
     name: str
     recording: str
     options: str = ""
     is_quick: bool = False
 
-    def command(self, recording: Path, out: Path) -> list[str]:
-        """Return the arguments of `imgu`."""
-        parameters = ["--params-file", str(recording.parent / f"{self.recording}.yaml")]
-        return ["replay", str(recording), "--out", str(out), *parameters, *self.options.split()]
+    def command(self, recordings: Path, out: Path) -> list[str]:
+        """Return the arguments of `imgu`, which reads from `recordings` and writes into `out`."""
+        if self.options[:1].isalpha():
+            return [part.format(out=out, **{"in": recordings}) for part in shlex.split(self.options)]
+        bag = recordings / self.recording
+        bag = bag if bag.exists() else bag.with_suffix(".bag")
+        parameters = ["--params-file", str(recordings / f"{self.recording}.yaml")]
+        return ["replay", str(bag), "--out", str(out), *parameters, *self.options.split()]
 
 
 def _choices(recording: str, parameter: str, values: str, *more: str) -> list[Case]:
@@ -285,6 +300,19 @@ CASES = (
     *_choices("mono8", "preprocess.threshold", "fixed otsu", _NO_TRACK),
     Case("preprocess", "mono8", "-p preprocess.smoothing_px:=1.0 -p preprocess.contrast:=1.3 -p preprocess.gamma:=0.7 "
          "-p preprocess.brightness:=-10.0"),
+    Case("match", "mono8", "match {in}/picture0.png {in}/mono8.png --json {out}/match.json --draw {out}/drawn.png "
+         "--warp {out}/warped.png -p raw.transfer:=linear", is_quick=True),
+    Case("demosaic", "bayer8", "demosaic {in}/bayer8.png {out}/colour.png --pattern rggb --method menon --gains 2,1,1"),
+    Case("filter_kernel", "rgb8", "filter {in}/rgb8.png {out}/kernel.png --method kernel --kernel '0 1 2;0 3 0;1 0 1'"),
+    *(Case(f"filter_{method}", "rgb8", f"filter {{in}}/rgb8.png {{out}}/filtered.png --method {method}")
+      for method in ("mean", "gaussian", "detail", "strength", "direction", "edges", "canny")),
+    Case("warp", "rgb8", "warp {in}/rgb8.png {out}/warped.png --rotate 30 --scale 0.7 --whole --interpolation cubic"),
+    Case("calibrate", "chessboard", "calibrate {in}/chessboard --board 7x5 --square 0.025 --out {out}/camera.yaml "
+         "--json {out}/calibration.json", is_quick=True),
+    Case("simulate", "mono8", "simulate --out {out} --size 160x120 --frames 3 --seed 5 --exposure-ms 4 "
+         "--row-time-us 30 --defocus-px 2 --ev=-1,0 --distortion tilted --template {in}/picture0.png"),
+    Case("simulate_thin_lens", "mono8", "simulate --out {out} --size 160x120 --frames 2 --bits 10 --pattern gbrg "
+         "--f-number 2.8 --distortion thin_prism --view-deg 70 --storage sqlite3 --template {in}/picture2.png"),
 )
 # fmt: on
 
@@ -305,37 +333,68 @@ def make_template(number: int, path: Path) -> None:
 
 def make_recordings(
     names: Iterable[str], folder: Path, simulate: Callable[[list[tuple[list[str], Path]]], None]
-) -> dict[str, Path]:
-    """Make the recordings with these names in `folder`, each beside its parameter file NAME.yaml.
+) -> None:
+    """Make those of the recordings with these names that `folder` lacks.
+
+    NAME is the bag, NAME.yaml its parameter file, and NAME.png its first image where that has 8 bits.
 
     Parameters
     ----------
-    names : of `SIMULATED` or `CHANGED`
+    names : of `SIMULATED` or `CHANGED`, or `chessboard`
     folder : where
     simulate : runs command lines of `imgu`; takes their arguments, each with a folder
     """
     folder.mkdir(parents=True, exist_ok=True)
+    # The parameter file is written last, and marks a complete recording.
+    missing = {name for name in names if not (folder / f"{name}.yaml").exists()}
+    if not missing:
+        return
     templates = [folder / f"picture{number}.png" for number in range(5)]
     for number, path in enumerate(templates):
         make_template(number, path)
-    wanted = set(names)
-    simulated = sorted({CHANGED[name].base if name in CHANGED else name for name in wanted})
-    commands = []
-    for name in simulated:
-        options = SIMULATED[name].format(*templates).split()
-        commands.append((["simulate", "--out", str(folder / name), *options], folder / name))
-    simulate(commands)
-    for name in simulated:
+    bases = {CHANGED[name].base if name in CHANGED else name for name in missing} & set(SIMULATED)
+    bases = {name for name in bases if not (folder / f"{name}.yaml").exists()}
+    simulate(
+        [
+            (["simulate", "--out", str(folder / name), *SIMULATED[name].format(*templates).split()], folder / name)
+            for name in sorted(bases)
+        ]
+    )
+    for name in sorted(bases):
         parameters = folder / name / "params.yaml"
         if not parameters.is_file():
             raise SystemExit(f"same_numbers: error: recording {name}: {(folder / f'{name}.log').read_text().strip()}")
+        message = _images(_read(folder / name))[0].message
+        if message.encoding.endswith("8"):
+            pixels = _pixels(message)
+            cv2.imwrite(str(folder / f"{name}.png"), pixels[..., ::-1] if message.encoding == "rgb8" else pixels)
         (folder / f"{name}.yaml").write_text(parameters.read_text())
-    paths = {name: folder / name for name in simulated}
-    for name in sorted(wanted & set(CHANGED)):
+    for name in sorted(missing & set(CHANGED)):
         changed = CHANGED[name]
-        paths[name] = write_bag(changed.change(_read(folder / changed.base)), folder / name, changed.storage)
+        shutil.rmtree(folder / name, ignore_errors=True)
+        write_bag(changed.change(_read(folder / changed.base)), folder / name, changed.storage)
         (folder / f"{name}.yaml").write_text((folder / f"{changed.base}.yaml").read_text())
-    return paths
+    if "chessboard" in missing:
+        make_chessboards(folder / "chessboard")
+        (folder / "chessboard.yaml").write_text("")
+
+
+def make_chessboards(folder: Path) -> None:
+    """Write 10 views of a chessboard with 7 x 5 inner corners as pictures of 320 x 240 px."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(3)
+    squares = np.add.outer(np.arange(6), np.arange(8)) % 2
+    board = np.pad(np.kron(squares, np.ones((40, 40))) * 220 + 15, 40, constant_values=235).astype(np.uint8)
+    K = np.array([[300.0, 0, 159.5], [0, 300, 119.5], [0, 0, 1]])
+    board_from_px = np.array([[0.025 / 40, 0, -0.125], [0, 0.025 / 40, -0.1], [0, 0, 1]])
+    for number in range(10):
+        R = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
+        t = np.array([*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.3, 0.42)])
+        H = K @ np.column_stack([R[:, :2], t]) @ board_from_px
+        # Drawn at four times the size and reduced, so that edges are smooth.
+        large = np.array([[4.0, 0, 1.5], [0, 4, 1.5], [0, 0, 1]]) @ H
+        view = cv2.warpPerspective(board, large, (1280, 960), flags=cv2.INTER_LINEAR, borderValue=235)
+        cv2.imwrite(str(folder / f"view{number}.png"), cv2.resize(view, (320, 240), interpolation=cv2.INTER_AREA))
 
 
 def make(type_name: str, **values: Any) -> Any:
