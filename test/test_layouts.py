@@ -11,17 +11,11 @@ from typing import Any
 
 import yaml
 
-from imgu_ros.messages.results import FRAME_OUTPUTS, TARGET_OUTPUTS
+from imgu_ros.messages.results import OUTPUTS
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 TOPICS = {
-    **{name: output.type_name for name, output in FRAME_OUTPUTS.items()},
-    **{name: output.type_name for name, output in TARGET_OUTPUTS.items()},
-    "path": "nav_msgs/msg/Path",
-    "map/odom": "nav_msgs/msg/Odometry",
-    "map/path": "nav_msgs/msg/Path",
-    "debug_image": "sensor_msgs/msg/Image",
-    "debug_image/compressed": "sensor_msgs/msg/CompressedImage",
+    **{row.name: row.type_name for row in OUTPUTS},
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 

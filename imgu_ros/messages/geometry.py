@@ -67,39 +67,32 @@ def odometry_message(make: MessageFactory, header: Header, target_frame: str, ca
 
 
 class PathHistory:
-    """The way of the camera before one target, as nav_msgs/Path at most once a second of the frames' stamps.
+    """The camera's path, as nav_msgs/Path at most once a second of the frames' stamps.
 
-    Where stamps stand still (all 0) it goes out with every thirtieth pose. A path holds the last `max_length` poses;
-    when stamps jump back by more than a second it starts anew.
-
-    Parameters
-    ----------
-    target_frame : the frame that the poses are given in
-    max_length : most poses, >= 1
-
-    Attributes
-    ----------
-    target_frame : as given
+    While stamps do not change (all 0) it is published with every thirtieth pose. When stamps jump back by more than a
+    second it starts anew.
     """
 
-    def __init__(self, make: MessageFactory, target_frame: str, max_length: int) -> None:
-        self.target_frame = target_frame
+    def __init__(self, make: MessageFactory) -> None:
         self._make = make
-        self._poses: deque[Any] = deque()
-        self.resize(max_length)
+        self._frame = ""
+        self._poses: deque[Any] = deque(maxlen=1)
         self._last_ns: int | None = None
         self._sent_ns: int | None = None
         self._standing = 0
 
-    def resize(self, max_length: int) -> None:
-        """Hold another number of poses, >= 1, from now on; the latest stay."""
+    def use(self, frame: str, max_length: int) -> None:
+        """Give poses in this frame, the latest `max_length` of them (>= 1); in another frame the path starts anew."""
         if max_length < 1:
             raise ParameterError(f"path.max_length: {max_length}; need at least 1")
+        if frame != self._frame:
+            self.clear()
+            self._frame = frame
         if self._poses.maxlen != max_length:
             self._poses = deque(self._poses, maxlen=max_length)
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Start anew."""
         self._poses.clear()
         self._last_ns = self._sent_ns = None
 
@@ -110,7 +103,7 @@ class PathHistory:
                 return None  # no stamp, or the first of a recording that begins anew: the next one tells
             self.clear()
         self._last_ns = stamp_ns
-        make, header = self._make, Header(stamp_ns, self.target_frame)
+        make, header = self._make, Header(stamp_ns, self._frame)
         target_from_camera = camera_from_target.inverse()
         self._poses.append(
             make(

@@ -1,46 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame's Result -> the messages of every output topic.
+"""Output topics: the table of all of them, and the function of each that makes its message from a frame's Result.
 
 Topics are named relative to the node, as in `docs/interfaces.md`. A function returns None where the frame has nothing
-for its topic: a rejected frame has no pictures, a lost target no outline.
+for its topic: a rejected frame has no images, a lost target no outline. `ResultConverter` runs the table, for the live
+nodes and for replay alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from typing import Any
 
 from imgu_ros.messages.compressed_image import compressed_image_message
 from imgu_ros.messages.encodings import encoding_for
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.features import homographies_message, keypoints_message, matches_message
-from imgu_ros.messages.geometry import odometry_message, outline_message, pose_message
+from imgu_ros.messages.geometry import PathHistory, odometry_message, outline_message, pose_message
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
+from imgu_ros.messages.output_topic import OutputContext, OutputTopic, Recording, Scope
 from imgu_ros.messages.status import status_message
 from imgu_ros.pose.frame_tree import StampedTransform
-from imgu_ros.result import ReferenceResult, Result
+from imgu_ros.result import Result
 from imgu_ros.types import Image
-
-
-@dataclass(frozen=True, slots=True)
-class FrameOutput:
-    """A topic with one message for each frame: its type, and the function that makes it."""
-
-    type_name: str
-    message: Callable[[MessageFactory, Result], Any | None]
-
-
-@dataclass(frozen=True, slots=True)
-class TargetOutput:
-    """A topic with one message for each target seen: its type, and the function that makes it.
-
-    The function's last argument is the name of the target's frame.
-    """
-
-    type_name: str
-    message: Callable[[MessageFactory, Result, ReferenceResult, str], Any | None]
+from imgu_ros.vision.camera.pose import Pose
 
 
 def result_header(result: Result) -> Header:
@@ -48,25 +31,8 @@ def result_header(result: Result) -> Header:
     return Header(result.frame.stamp_ns, result.frame.frame_id)
 
 
-def color_message(make: MessageFactory, result: Result) -> Any | None:
-    """Return `image_color`: rgb8, or rgb16 when the input has 16 bit."""
-    return None if result.developed is None else picture_message(make, result, result.developed.color())
-
-
-def mono_message(make: MessageFactory, result: Result) -> Any | None:
-    """Return `image_mono`."""
-    return None if result.developed is None else picture_message(make, result, result.developed.grey)
-
-
-def level_message(make: MessageFactory, result: Result, level: int) -> Any | None:
-    """Return `pyramid/level_<level>`; None when the pyramid has no such level."""
-    if result.pyramid is None or not 0 <= level < len(result.pyramid.levels):
-        return None
-    return picture_message(make, result, result.pyramid.levels[level].image)
-
-
 def picture_message(make: MessageFactory, result: Result, pixels: Image) -> Any:
-    """Return a picture with the result's header; (H, W) grey or (H, W, 3) RGB: also `debug_image`."""
+    """Return an image, (H, W) grey or (H, W, 3) RGB, with the result's header."""
     encoding = encoding_for(pixels.dtype, 1 if pixels.ndim == 2 else pixels.shape[-1])
     return image_message(make, result_header(result), pixels, encoding)
 
@@ -74,7 +40,7 @@ def picture_message(make: MessageFactory, result: Result, pixels: Image) -> Any:
 def compressed_picture_message(
     make: MessageFactory, result: Result, pixels: Image, file_format: str, jpeg_quality: int, png_level: int
 ) -> Any:
-    """Return a picture with the result's header, compressed; what has 16 bits becomes PNG whatever is asked for.
+    """Return an image with the result's header, compressed; 16 bits become PNG whatever is asked for.
 
     Parameters
     ----------
@@ -88,48 +54,9 @@ def compressed_picture_message(
     )
 
 
-def result_keypoints_message(make: MessageFactory, result: Result) -> Any | None:
-    """Return `keypoints`."""
-    if result.keypoints is None:
-        return None
-    return keypoints_message(make, result_header(result), result.keypoints, result.descriptors)
-
-
-def result_matches_message(make: MessageFactory, result: Result) -> Any | None:
-    """Return `matches`, of all targets."""
-    if all(target.matches is None for target in result):
-        return None
-    return matches_message(make, result_header(result), result)
-
-
-def result_homographies_message(make: MessageFactory, result: Result) -> Any | None:
-    """Return `homography`: empty when no target was seen, None when the frame was rejected."""
-    if result.reason:
-        return None
-    calibrated = result.frame.camera is not None
-    return homographies_message(make, result_header(result), result, calibrated=calibrated)
-
-
 def result_status_message(make: MessageFactory, result: Result) -> Any:
-    """Return `status`."""
+    """Return a diagnostic_msgs/DiagnosticArray with the status of every target."""
     return status_message(make, result_header(result), result)
-
-
-def target_outline_message(make: MessageFactory, result: Result, target: ReferenceResult, _: str) -> Any | None:
-    """Return `outline`."""
-    return None if target.outline is None else outline_message(make, result_header(result), target.outline)
-
-
-def target_pose_message(make: MessageFactory, result: Result, target: ReferenceResult, _: str) -> Any | None:
-    """Return `pose`."""
-    return None if target.pose is None else pose_message(make, result_header(result), target.pose)
-
-
-def target_odometry_message(
-    make: MessageFactory, result: Result, target: ReferenceResult, target_frame: str
-) -> Any | None:
-    """Return `odom`."""
-    return None if target.pose is None else odometry_message(make, result_header(result), target_frame, target.pose)
 
 
 def target_transforms(result: Result, target_prefix: str) -> list[StampedTransform]:
@@ -142,25 +69,150 @@ def target_transforms(result: Result, target_prefix: str) -> list[StampedTransfo
     ]
 
 
-#: Topics with one message a frame; beside them `pyramid/level_<k>` (`level_message`), `debug_image`
-#: (`picture_message`), `map/odom` (`odometry_message`), `map/path` (`PathHistory`) and /tf (`tf_message`).
-FRAME_OUTPUTS: Mapping[str, FrameOutput] = {
-    "image_color": FrameOutput("sensor_msgs/msg/Image", color_message),
-    "image_mono": FrameOutput("sensor_msgs/msg/Image", mono_message),
-    "keypoints": FrameOutput("sensor_msgs/msg/PointCloud2", result_keypoints_message),
-    "matches": FrameOutput("sensor_msgs/msg/PointCloud2", result_matches_message),
-    "homography": FrameOutput("sensor_msgs/msg/PointCloud2", result_homographies_message),
-    "status": FrameOutput("diagnostic_msgs/msg/DiagnosticArray", result_status_message),
-}
+def _color(context: OutputContext) -> Any | None:
+    """rgb8, or rgb16 when the input has 16 bit."""
+    developed = context.frame.result.developed
+    return None if developed is None else _picture(context, developed.color())
 
-#: Topics of each target, under `targets/<name>/`, and of the first without it; beside them `path` (`PathHistory`).
-TARGET_OUTPUTS: Mapping[str, TargetOutput] = {
-    "outline": TargetOutput("geometry_msgs/msg/PolygonStamped", target_outline_message),
-    "pose": TargetOutput("geometry_msgs/msg/PoseWithCovarianceStamped", target_pose_message),
-    "odom": TargetOutput("nav_msgs/msg/Odometry", target_odometry_message),
-}
+
+def _compressed_color(context: OutputContext) -> Any | None:
+    developed = context.frame.result.developed
+    return None if developed is None else _compressed(context, developed.color())
+
+
+def _mono(context: OutputContext) -> Any | None:
+    developed = context.frame.result.developed
+    return None if developed is None else _picture(context, developed.grey)
+
+
+def _compressed_mono(context: OutputContext) -> Any | None:
+    developed = context.frame.result.developed
+    return None if developed is None else _compressed(context, developed.grey)
+
+
+def _debug_image(context: OutputContext) -> Any:
+    return _picture(context, context.frame.drawn)
+
+
+def _compressed_debug_image(context: OutputContext) -> Any:
+    return _compressed(context, context.frame.drawn)
+
+
+def _pyramid_level(context: OutputContext) -> Any | None:
+    pyramid = context.frame.result.pyramid
+    if pyramid is None or context.level >= len(pyramid.levels):
+        return None
+    return _picture(context, pyramid.levels[context.level].image)
+
+
+def _picture(context: OutputContext, pixels: Image) -> Any:
+    return picture_message(context.frame.make, context.frame.result, pixels)
+
+
+def _compressed(context: OutputContext, pixels: Image) -> Any:
+    frame, options = context.frame, context.frame.parameters.compressed
+    return compressed_picture_message(
+        frame.make, frame.result, pixels, options.format, options.jpeg_quality, options.png_level
+    )
+
+
+def _keypoints(context: OutputContext) -> Any | None:
+    frame, result = context.frame, context.frame.result
+    if result.keypoints is None:
+        return None
+    return keypoints_message(frame.make, frame.header, result.keypoints, result.descriptors)
+
+
+def _matches(context: OutputContext) -> Any | None:
+    frame, result = context.frame, context.frame.result
+    if all(target.matches is None for target in result):
+        return None
+    return matches_message(frame.make, frame.header, result)
+
+
+def _homography(context: OutputContext) -> Any | None:
+    """Without rows when no target was found, None when the frame was rejected."""
+    frame, result = context.frame, context.frame.result
+    if result.reason:
+        return None
+    calibrated = result.frame.camera is not None
+    return homographies_message(frame.make, frame.header, result, calibrated=calibrated)
+
+
+def _status(context: OutputContext) -> Any:
+    return result_status_message(context.frame.make, context.frame.result)
+
+
+def _outline(context: OutputContext) -> Any | None:
+    frame, outline = context.frame, context.found.outline
+    return None if outline is None else outline_message(frame.make, frame.header, outline)
+
+
+def _pose(context: OutputContext) -> Any | None:
+    frame, pose = context.frame, context.found.pose
+    return None if pose is None else pose_message(frame.make, frame.header, pose)
+
+
+def _odometry(context: OutputContext) -> Any | None:
+    frame, pose = context.frame, context.found.pose
+    return None if pose is None else odometry_message(frame.make, frame.header, context.target_frame, pose)
+
+
+def _path(context: OutputContext) -> Any | None:
+    return _continued_path(context, context.found.pose, context.target_frame)
+
+
+def _map_odometry(context: OutputContext) -> Any | None:
+    frame, pose = context.frame, context.frame.camera_from_map
+    return None if pose is None else odometry_message(frame.make, frame.header, frame.parameters.frames.map, pose)
+
+
+def _map_path(context: OutputContext) -> Any | None:
+    return _continued_path(context, context.frame.camera_from_map, context.frame.parameters.frames.map)
+
+
+def _continued_path(context: OutputContext, pose: Pose | None, frame_name: str) -> Any | None:
+    if pose is None:
+        return None
+    history: PathHistory = context.state
+    history.use(frame_name, context.frame.parameters.path.max_length)
+    return history.add(context.frame.header.stamp_ns, pose)
+
+
+_IMAGE = "sensor_msgs/msg/Image"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_PATH = "nav_msgs/msg/Path"
+
+#: Every output topic but /tf, which depends on the other transforms there (`ros/outputs.py`). A new output is one row.
+OUTPUTS: tuple[OutputTopic, ...] = (
+    OutputTopic("homography", _CLOUD, _homography, recording=Recording.ALWAYS),
+    OutputTopic("status", "diagnostic_msgs/msg/DiagnosticArray", _status, recording=Recording.ALWAYS),
+    OutputTopic("outline", "geometry_msgs/msg/PolygonStamped", _outline, Scope.TARGET, Recording.ALWAYS),
+    OutputTopic("pose", _POSE, _pose, Scope.TARGET, Recording.ALWAYS),
+    OutputTopic("odom", _ODOMETRY, _odometry, Scope.TARGET, Recording.ALWAYS),
+    OutputTopic("path", _PATH, _path, Scope.TARGET, state=PathHistory),
+    OutputTopic("map/odom", _ODOMETRY, _map_odometry, Scope.MAP, Recording.ALWAYS),
+    OutputTopic("map/path", _PATH, _map_path, Scope.MAP, state=PathHistory),
+    OutputTopic("keypoints", _CLOUD, _keypoints, needs_keypoints=True),
+    OutputTopic("matches", _CLOUD, _matches),
+    OutputTopic("image_color", _IMAGE, _color),
+    OutputTopic("image_color/compressed", _COMPRESSED, _compressed_color, recording=Recording.NEVER),
+    OutputTopic("image_mono", _IMAGE, _mono),
+    OutputTopic("image_mono/compressed", _COMPRESSED, _compressed_mono, recording=Recording.NEVER),
+    OutputTopic("debug_image", _IMAGE, _debug_image),
+    OutputTopic("debug_image/compressed", _COMPRESSED, _compressed_debug_image, recording=Recording.NEVER),
+    OutputTopic("pyramid/level_", _IMAGE, _pyramid_level, Scope.LEVEL, needs_keypoints=True),
+)
 
 
 def needs_keypoints(topics: Iterable[str]) -> bool:
-    """Return whether one of these outputs can only be made when the chain detects keypoints in every frame."""
-    return any(topic == "keypoints" or topic.startswith("pyramid/") for topic in topics)
+    """Return whether one of these outputs can only be made when keypoints are detected in every frame."""
+    needing = [row for row in OUTPUTS if row.needs_keypoints]
+    return any(
+        topic.startswith(row.name) if row.scope is Scope.LEVEL else topic == row.name
+        for topic in topics
+        for row in needing
+    )

@@ -69,8 +69,14 @@ def test_odometry_is_the_camera_before_the_target(make):
     np.testing.assert_array_equal(np.asarray(message.twist.covariance).reshape(6, 6), 1e6 * np.eye(6))
 
 
+def path_history(make, max_length):
+    history = PathHistory(make)
+    history.use("poster", max_length)
+    return history
+
+
 def test_path_at_most_once_a_second(make):
-    history = PathHistory(make, "poster", 1000)
+    history = path_history(make, 1000)
     sent = [history.add(n * SECOND_NS // 10, some_pose()) for n in range(35)]
     due = [n for n, path in enumerate(sent) if path is not None]
     assert due == [0, 10, 20, 30]
@@ -82,34 +88,34 @@ def test_path_at_most_once_a_second(make):
 
 
 def test_path_is_bounded_and_starts_anew_after_a_jump(make):
-    history = PathHistory(make, "poster", 5)
+    history = path_history(make, 5)
     for n in range(20):
         path = history.add(100 * SECOND_NS + n * SECOND_NS, some_pose())
     assert [decode_header(p).stamp_ns // SECOND_NS for p in path.poses] == [115, 116, 117, 118, 119]
     path = history.add(100 * SECOND_NS, some_pose())
     assert len(path.poses) == 1
     with pytest.raises(ParameterError, match=r"path\.max_length: 0"):
-        PathHistory(make, "poster", 0)
+        path_history(make, 0)
 
 
 def test_path_goes_out_although_no_frame_has_a_stamp(make):
-    history = PathHistory(make, "poster", 1000)
+    history = path_history(make, 1000)
     due = [n for n in range(95) if history.add(0, some_pose()) is not None]
     assert due == [0, 30, 60, 90]
 
 
 def test_path_survives_a_single_frame_without_a_stamp(make):
-    history = PathHistory(make, "poster", 1000)
+    history = path_history(make, 1000)
     for stamp_ns in (50, 51, 0, 52):
         path = history.add(stamp_ns * SECOND_NS, some_pose())
     assert [decode_header(p).stamp_ns // SECOND_NS for p in path.poses] == [50, 51, 52]
 
 
 def test_path_of_another_length_keeps_the_latest(make):
-    history = PathHistory(make, "poster", 10)
+    history = path_history(make, 10)
     for n in range(8):
         history.add(n * SECOND_NS, some_pose())
-    history.resize(3)
+    history.use("poster", 3)
     path = history.add(8 * SECOND_NS, some_pose())
     assert [decode_header(p).stamp_ns // SECOND_NS for p in path.poses] == [6, 7, 8]
 

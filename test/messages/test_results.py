@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EncodingError
 from imgu_ros.messages.compressed_image import decode_compressed_image
 from imgu_ros.messages.features import (
@@ -18,14 +20,8 @@ from imgu_ros.messages.features import (
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import decode_image
 from imgu_ros.messages.point_cloud import point_cloud_message
-from imgu_ros.messages.results import (
-    FRAME_OUTPUTS,
-    TARGET_OUTPUTS,
-    compressed_picture_message,
-    level_message,
-    needs_keypoints,
-    target_transforms,
-)
+from imgu_ros.messages.result_converter import ResultConverter
+from imgu_ros.messages.results import OUTPUTS, compressed_picture_message, needs_keypoints, target_transforms
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.vision.formation.layout import ColorModel
 
@@ -37,42 +33,68 @@ def rejected(result: Result) -> Result:
     return Result(result.frame, by_name(targets), reason="too dark")
 
 
-def test_every_frame_output_carries_the_header_and_its_type(make, result):
-    for output in FRAME_OUTPUTS.values():
-        message = output.message(make, result)
-        assert decode_header(message) == HEADER
-        assert type(message) is type(make(output.type_name))
+def converted(make, result, parameters=None, wanted=lambda topic: True):
+    """Return every message of a result, by topic."""
+    names = [target.name for target in result]
+    converter = ResultConverter(make, lambda _: np.zeros((2, 3, 3), np.uint8), names, parameters or Parameters())
+    made = list(converter.messages(converter.frame(result), wanted))
+    assert len({topic for one in made for topic in one.topics}) == sum(len(one.topics) for one in made)
+    return {topic: one.message for one in made for topic in one.topics}
 
 
-def test_every_target_output_has_its_type(make, result):
-    for topic, output in TARGET_OUTPUTS.items():
-        message = output.message(make, result, result.first, "poster_frame")
-        assert type(message) is type(make(output.type_name))
-        assert decode_header(message).stamp_ns == HEADER.stamp_ns
-        assert decode_header(message).frame_id == ("poster_frame" if topic == "odom" else "camera")
-        assert output.message(make, result, list(result)[1], "box_frame") is None, "a lost target has no geometry"
+def test_every_output_carries_the_header_and_its_type(make, result):
+    converter = ResultConverter(make, lambda _: np.zeros((2, 3, 3), np.uint8), ["poster", "box", "floor"], Parameters())
+    messages = converted(make, result)
+    assert messages.keys() <= converter.topics().keys()
+    assert {row.name for topic, row in converter.topics().items() if topic in messages} == {
+        row.name for row in OUTPUTS if not row.name.startswith("map/")
+    }
+    for topic, message in messages.items():
+        assert type(message) is type(make(converter.topics()[topic].type_name)), topic
+        of_camera = not topic.endswith(("odom", "path"))
+        assert decode_header(message) == (HEADER if of_camera else Header(HEADER.stamp_ns, "poster")), topic
+    for name in ("outline", "pose", "odom", "path"):
+        assert messages[name] is messages[f"targets/poster/{name}"]
+        assert f"targets/box/{name}" not in messages, "a lost target has no geometry"
 
 
 def test_a_rejected_frame_has_a_status_alone(make, result):
-    frame = rejected(result)
-    sent = {topic for topic, output in FRAME_OUTPUTS.items() if output.message(make, frame) is not None}
-    assert sent == {"status"}
-    assert level_message(make, frame, 0) is None
+    wanted = [row.name for row in OUTPUTS if not row.name.startswith("debug_image")]
+    assert converted(make, rejected(result), wanted=wanted.__contains__).keys() == {"status"}
+
+
+def test_only_what_is_wanted_is_made(make, result):
+    asked = []
+
+    def is_wanted(topic):
+        asked.append(topic)
+        return topic in {"pose", "pyramid/level_1"}
+
+    assert converted(make, result, wanted=is_wanted).keys() == {"pose", "pyramid/level_1"}
+    assert len(asked) == len(set(asked)) > 20
+
+
+def test_the_cameras_frame_may_have_another_name(make, result):
+    messages = converted(make, result, parameters_from({"frames.camera": "lens", "frames.target_prefix": "seen/"}))
+    assert {decode_header(messages[topic]).frame_id for topic in ("status", "pose", "image_mono")} == {"lens"}
+    assert (messages["odom"].header.frame_id, messages["odom"].child_frame_id) == ("seen/poster", "lens")
 
 
 def test_pictures(make, result):
-    color = decode_image(FRAME_OUTPUTS["image_color"].message(make, result))
+    messages = converted(make, result)
+    color = decode_image(messages["image_color"])
     assert color.layout.color is ColorModel.RGB
     np.testing.assert_array_equal(color.pixels, result.developed.color())
     assert color.pixels.dtype == np.uint16
-    mono = decode_image(FRAME_OUTPUTS["image_mono"].message(make, result))
+    mono = decode_image(messages["image_mono"])
     np.testing.assert_array_equal(mono.pixels, result.developed.grey)
     for level in (0, 1):
-        message = level_message(make, result, level)
+        message = messages[f"pyramid/level_{level}"]
         assert message.encoding == ("32FC1", "mono8")[level]
         np.testing.assert_array_equal(decode_image(message).pixels, result.pyramid.levels[level].image)
-    assert level_message(make, result, 2) is None
-    assert level_message(make, result, -1) is None
+    assert "pyramid/level_2" not in messages
+    assert decode_image(messages["debug_image"]).pixels.shape == (2, 3, 3)
+    assert messages["debug_image/compressed"].format == "rgb8; jpeg compressed bgr8"
 
 
 def test_compressed_pictures(make, result):
@@ -128,7 +150,7 @@ def test_keypoints_without_descriptors_or_points(make, result):
 
 
 def test_matches_of_all_targets(make, result):
-    message = FRAME_OUTPUTS["matches"].message(make, result)
+    message = converted(make, result)["matches"]
     assert [f.name for f in message.fields] == [
         "target", "template_x", "template_y", "image_x", "image_y", "distance", "inlier",
     ]  # fmt: skip
@@ -141,7 +163,7 @@ def test_matches_of_all_targets(make, result):
 
 
 def test_homographies_of_targets_that_were_seen(make, result):
-    message = FRAME_OUTPUTS["homography"].message(make, result)
+    message = converted(make, result)["homography"]
     fields = [(f.name, f.offset, f.datatype, f.count) for f in message.fields]
     assert fields == [
         ("target", 0, 5, 1), ("h", 8, 8, 9), ("covariance", 80, 8, 81), ("n_inliers", 728, 5, 1), ("rms_px", 732, 7, 1),
@@ -156,7 +178,7 @@ def test_homographies_of_targets_that_were_seen(make, result):
     assert table["calibrated"].tolist() == [0, 0]
     np.testing.assert_array_equal(table["h"][1].reshape(3, 3), list(result)[2].homography.H)
     nothing = replace(result, references=by_name((list(result)[1],)))
-    assert len(decode_homographies(FRAME_OUTPUTS["homography"].message(make, nothing))) == 0
+    assert len(decode_homographies(converted(make, nothing)["homography"])) == 0
 
 
 def test_a_missing_column_is_named(make):
@@ -167,7 +189,7 @@ def test_a_missing_column_is_named(make):
 
 
 def test_status(make, result):
-    message = FRAME_OUTPUTS["status"].message(make, result)
+    message = converted(make, result)["status"]
     poster, box, floor = message.status
     levels = [s.level if isinstance(s.level, int) else s.level[0] for s in message.status]
     assert levels == [0, 1, 0]
@@ -200,7 +222,7 @@ def test_status(make, result):
 )
 def test_status_levels(make, result, status, pose_status, level):
     changed = replace(result, references=by_name((ReferenceResult("poster", 0, status, pose_status),)))
-    (entry,) = FRAME_OUTPUTS["status"].message(make, changed).status
+    (entry,) = converted(make, changed)["status"].status
     assert (entry.level if isinstance(entry.level, int) else entry.level[0]) == level
 
 
@@ -212,7 +234,7 @@ def test_tf_of_targets(result):
 
 
 def test_odometry_has_the_inverse_pose(make, result):
-    message = TARGET_OUTPUTS["odom"].message(make, result, result.first, "poster")
+    message = converted(make, result)["odom"]
     position = message.pose.pose.position
     np.testing.assert_allclose([position.x, position.y, position.z], result.first.pose.inverse().t)
 

@@ -24,9 +24,10 @@ from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.features import decode_estimates, decode_keypoints, decode_target_matches
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
-from imgu_ros.messages.results import FRAME_OUTPUTS, level_message
+from imgu_ros.messages.result_converter import ResultConverter
 from imgu_ros.reference import features as target_features
 from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result, Status
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO, DemosaicStage
@@ -59,10 +60,10 @@ class Told:
 
     def publish(self, result: Result) -> None:
         self.result = result
-        made = {topic: output.message(make_message, result) for topic, output in FRAME_OUTPUTS.items()}
-        made |= {f"pyramid/level_{level}": level_message(make_message, result, level) for level in range(8)}
-        chosen = {topic for topic in made if self._stage.choice.includes(topic)}
-        self.messages |= {topic: made[topic] for topic in chosen if made[topic] is not None}
+        names = [target.name for target in result]
+        converter = ResultConverter(make_message, draw_result, names, self._stage.parameters)
+        made = converter.messages(converter.frame(result), self._stage.choice.includes)
+        self.messages |= {topic: one.message for one in made for topic in one.topics}
 
 
 class Six:
