@@ -246,6 +246,10 @@ def _metadata(old: bytes, new: bytes) -> bytes:
     return texts.metadata(["bag_0.mcap"], "mcap").replace(old, new)
 
 
+def _count_of(digits: int) -> bytes:
+    return _metadata(b"message_count: 18", b"message_count: " + b"9" * digits)
+
+
 def _loop(folder: Path) -> Path:
     path = folder / "bag.mcap"
     path.symlink_to(path)
@@ -358,8 +362,8 @@ ENTRIES: dict[str, Entry] = {
     "database_with_a_log_read_only": _mcap(_wal_read_only, 2 * _ALL),
     "metadata_aliases": _mcap(_folder(texts.bomb(12, 10)), _ALL),
     "metadata_aliases_of_files": _mcap(_folder(_metadata(b"  files:", _FILES + b"  files: *b9\n  more:")), _ALL),
-    "metadata_400_digits": _mcap(_folder(_metadata(b"message_count: 18", b"message_count: " + b"9" * 400)), _ALL),
-    "metadata_5000_digits": _mcap(_folder(_metadata(b"nanoseconds: 9", b"nanoseconds: " + b"9" * 5000)), _ALL),
+    "metadata_400_digits": _mcap(_folder(_count_of(400)), _ALL, "(400 characters)"),
+    "metadata_5000_digits": _mcap(_folder(_count_of(5000)), _ALL, "(5000 characters)"),
     "metadata_infinite_count": _mcap(_folder(_metadata(b"message_count: 18", b"message_count: .inf")), _ALL),
     "metadata_overflowing_count": _mcap(_folder(_metadata(b"message_count: 18", b"message_count: 1e400")), _ALL),
     "metadata_deep": _mcap(_folder(b"a: " + b"[" * 500_000), _ALL),

@@ -154,7 +154,7 @@ def _too_large(size: int, limits: LimitsParameters) -> BagError:
 
 
 class TemporarySpace:
-    """What temporary copies of a bag's compressed files may take, together."""
+    """Disk space for all temporary copies of a bag's files together."""
 
     def __init__(self, limits: LimitsParameters) -> None:
         self._limits = limits
@@ -162,14 +162,15 @@ class TemporarySpace:
         self._unchecked = 0
 
     def take(self, size: int, folder: Path) -> str:
-        """Count bytes that are about to be written; return why they may not, empty when they may."""
+        """Count bytes that are about to be written; return why they may not be written, empty when they may."""
         if size > self._left:
             return f"need at most {self._limits.temporary_mb} MB of temporary copies (limits.temporary_mb)"
         if self._unchecked < size:
             disk = shutil.disk_usage(folder)
-            self._unchecked = min(_CHECK_DISK_EVERY, disk.free - min(_RESERVE, disk.total // 10))
-            if self._unchecked < size:
+            free = disk.free - min(_RESERVE, disk.total // 10)
+            if free < size:
                 return f"the disk of {folder.parent} has {disk.free // 1_000_000} MB left; need more"
+            self._unchecked = min(max(size, _CHECK_DISK_EVERY), free)
         self._left -= size
         self._unchecked -= size
         return ""

@@ -111,7 +111,7 @@ class FileOpener:
                 ]
             elif magic == _SQLITE_MAGIC:
                 file.close()
-                storages = [SqliteStorage(path, name, self.warnings, self.limits)]
+                storages = [SqliteStorage(path, name, self.warnings, self.limits, self.space)]
             elif magic.startswith(ZSTD_MAGIC) and path.suffix == ".zstd":
                 file.close()
                 return self.decompressed(path, name)

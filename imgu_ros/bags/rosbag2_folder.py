@@ -144,15 +144,23 @@ def _announced(folder: Path, warnings: WarningLog, limits: LimitsParameters) -> 
             raise ValueError("no regular file")
         need = f"{METADATA} of at most {limits.text_mb} MB (limits.text_mb)"
         content = yaml_tree(text_of(file_bytes(path, need, 1_000_000 * limits.text_mb)), limits)
-        return _parsed(content["rosbag2_bagfile_information"])
+        wrong: list[str] = []
+        metadata = _parsed(content["rosbag2_bagfile_information"], wrong)
+        if wrong:
+            others = f" (and {len(wrong) - 1} others)" if len(wrong) > 1 else ""
+            warnings.add(f"{folder.name}: {METADATA}: {wrong[0]}{others}: ignored; need a number of at most 19 digits")
+        return metadata
     except (FileError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         warnings.add(f"{folder.name}: {METADATA} cannot be read ({reason}): the files in the folder are read")
         return None
 
 
-def _parsed(information: dict[str, Any]) -> FolderMetadata:
-    """Take what is needed, and nothing that is not: topics, QoS profiles, custom data and versions may be anything."""
+def _parsed(information: dict[str, Any], wrong: list[str]) -> FolderMetadata:
+    """Take what is needed, and nothing that is not: topics, QoS profiles, custom data and versions may be anything.
+
+    Descriptions of numbers that are none are added to `wrong`; missing ones are not.
+    """
     counts: dict[str, int] = {}
     starts: dict[str, int] = {}
     ends: dict[str, int] = {}
@@ -164,17 +172,22 @@ def _parsed(information: dict[str, Any]) -> FolderMetadata:
             counts[name] = _number(entry["message_count"])
             starts[name] = _number(entry["starting_time"]["nanoseconds_since_epoch"])
             ends[name] = starts[name] + _number(entry["duration"]["nanoseconds"])
-        except (KeyError, TypeError, ValueError):
+        except ValueError as error:
+            wrong.append(str(error))
+        except (KeyError, TypeError):
             continue  # it says less of this file
     names = [
         _base_name(name) for name in _listed_in(information, "relative_file_paths") if isinstance(name, str)
     ] or described
     if not names:
         raise ValueError("it names no file")
+    total = -1
     try:
         total = _number(information.get("message_count"))
-    except ValueError:
-        total = -1
+    except ValueError as error:
+        wrong.append(str(error))
+    except TypeError:
+        pass
     suffix = _STORAGES.get(str(information.get("storage_identifier", "")), "")
     known = counts.keys() & starts.keys() & ends.keys()
     of_topics: dict[str, int] = {}
@@ -182,7 +195,10 @@ def _parsed(information: dict[str, Any]) -> FolderMetadata:
         for entry in _listed_in(information, "topics_with_message_count"):
             topic = str(entry["topic_metadata"]["name"])
             of_topics[topic] = of_topics.get(topic, 0) + _number(entry["message_count"])
-    except (KeyError, TypeError, ValueError):
+    except ValueError as error:
+        wrong.append(str(error))
+        of_topics = {}
+    except (KeyError, TypeError):
         of_topics = {}
     return FolderMetadata(
         tuple(dict.fromkeys(names)),
@@ -201,11 +217,13 @@ def _listed_in(information: dict[str, Any], key: str) -> list[Any]:
 
 
 def _number(value: Any) -> int:
-    """Return a count or a time in nanoseconds; ValueError for what can be neither."""
-    text = str(value) if isinstance(value, str) else ""
-    if not _INTEGER.fullmatch(text.strip()) or not 0 <= int(text) <= MAX_TIME_NS:
-        raise ValueError(f"{text[:40]!r} is no count and no time")
-    return int(text)
+    """Return a count or a time in nanoseconds; ValueError for a text that is neither, TypeError for no text."""
+    if not isinstance(value, str):
+        raise TypeError
+    if not _INTEGER.fullmatch(value.strip()) or not 0 <= int(value) <= MAX_TIME_NS:
+        shortened = f"{value[:20]}... ({len(value)} characters)" if len(value) > 40 else value
+        raise ValueError(f"{shortened!r} is neither a count nor a time")
+    return int(value)
 
 
 def _base_name(path: Any) -> str:

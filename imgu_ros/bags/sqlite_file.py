@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import sqlite3
 import stat
 import struct
@@ -19,10 +18,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory, gettempdir
+from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
+from imgu_ros.bags.compression import TemporarySpace
 from imgu_ros.bags.storage import WarningLog
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
@@ -56,7 +56,8 @@ class SqliteFile:
         would write files beside it, which on read-only media it cannot
     name : what warnings call it
     warnings : takes what is damaged
-    limits : `message_mb`, `temporary_mb`
+    limits : `message_mb`
+    space : for a temporary copy; None: as much as `limits.temporary_mb` allows
 
     Raises
     ------
@@ -64,8 +65,16 @@ class SqliteFile:
         If the file cannot be opened.
     """
 
-    def __init__(self, path: Path, name: str, warnings: WarningLog, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        warnings: WarningLog,
+        limits: LimitsParameters = DEFAULT_LIMITS,
+        space: TemporarySpace | None = None,
+    ) -> None:
         self.given, self._name, self._warnings, self._limits = path, name, warnings, limits
+        self._space = space or TemporarySpace(limits)
         self._resources = ExitStack()
         self._steps_left = _SCHEMA_STEPS
         try:
@@ -162,9 +171,12 @@ class SqliteFile:
         beside = log if is_logged else journal
         try:
             size = _log_size(log) if is_logged else journal.stat().st_size
-            reason = _no_room(real.stat().st_size + size, self._limits)
-            if not reason:
-                folder = Path(self._resources.enter_context(TemporaryDirectory(prefix="imgu_bag_")))
+            needed = real.stat().st_size + size
+            folder = Path(self._resources.enter_context(TemporaryDirectory(prefix="imgu_bag_")))
+            reason = self._space.take(needed, folder)
+            if reason:
+                reason = f"a temporary copy takes {needed / 1e6:.0f} MB; {reason}"
+            else:
                 copy = folder / "bag.db3"
                 _copy(real, copy, real.stat().st_size)
                 _copy(beside, folder / f"{copy.name}{beside.name[len(real.name) :]}", size)
@@ -201,15 +213,6 @@ def _begins(path: Path, *magics: bytes) -> bool:
         return False
     with open(descriptor, "rb") as file:
         return stat.S_ISREG(os.fstat(descriptor).st_mode) and file.read(len(magics[0])) in magics
-
-
-def _no_room(needed: int, limits: LimitsParameters) -> str:
-    """Return why no temporary copy of `needed` bytes can be made; empty when one can."""
-    free = shutil.disk_usage(gettempdir()).free
-    text = f"a copy with them needs {needed / 1e6:.0f} MB; "
-    if needed > 1_000_000 * limits.temporary_mb:
-        return f"{text}need at most {limits.temporary_mb} (limits.temporary_mb)"
-    return f"{text}{gettempdir()} has {free / 1e6:.0f} free" if needed > free else ""
 
 
 def _copy(source: Path, target: Path, size: int) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
+from imgu_ros.bags.compression import TemporarySpace
 from imgu_ros.bags.salvage.sqlite_pages import SqlitePages
 from imgu_ros.bags.sqlite_file import SqliteFile, TableColumn
 from imgu_ros.bags.storage import (
@@ -40,6 +41,7 @@ class SqliteStorage:
     name : what warnings call it
     warnings : takes what is damaged, now and while reading
     limits : `message_mb` bounds a message, `text_mb` a definition
+    space : for a temporary copy, see `SqliteFile`
 
     Raises
     ------
@@ -47,11 +49,18 @@ class SqliteStorage:
         If the file cannot be opened, is no SQLite file, or has not rosbag2's tables.
     """
 
-    def __init__(self, path: Path, name: str, warnings: WarningLog, limits: LimitsParameters = DEFAULT_LIMITS) -> None:
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        warnings: WarningLog,
+        limits: LimitsParameters = DEFAULT_LIMITS,
+        space: TemporarySpace | None = None,
+    ) -> None:
         self._path, self._name, self._warnings, self._limits = path, name, warnings, limits
         self._is_sorted = self._is_damaged = self._is_walked = False
         self._pages: SqlitePages | None = None
-        self._file = SqliteFile(path, name, warnings, limits)
+        self._file = SqliteFile(path, name, warnings, limits, space)
         try:
             tables = self._file.tables("topics", "messages", "message_definitions")
             self._key = self._key_of_messages(tables)

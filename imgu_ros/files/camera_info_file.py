@@ -69,9 +69,9 @@ def read_description(path: Path | str, limits: LimitsParameters = DEFAULT_LIMITS
     return described_camera(_text(Path(path), limits), str(path), limits)[0]
 
 
-def read_camera_name(path: Path | str) -> str:
-    """Return the camera's name in a calibration file; empty when it has none. FileError as `read_calibration`."""
-    return described_camera(_text(Path(path), DEFAULT_LIMITS), str(path))[1]
+def read_camera_name(path: Path | str, limits: LimitsParameters = DEFAULT_LIMITS) -> str:
+    """Return the camera's name in a calibration file; empty when it has none. FileError as `read_description`."""
+    return described_camera(_text(Path(path), limits), str(path), limits)[1]
 
 
 def write_camera_info(path: Path | str, camera: Camera, name: str = "camera") -> None:

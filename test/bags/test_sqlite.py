@@ -452,12 +452,27 @@ def test_a_write_ahead_log_that_cannot_be_copied_is_said(tmp_path, monkeypatch):
     found, warnings = read(path, temporary_mb=1)
     assert found == ALL[:1]
     assert (
-        "what is in x.db3-wal is not read: a copy with them needs 5 MB; need at most 1 (limits.temporary_mb)"
-        in warnings[0]
+        "what is in x.db3-wal is not read: a temporary copy takes 5 MB; "
+        "need at most 1 MB of temporary copies (limits.temporary_mb)" in warnings[0]
     )
-    monkeypatch.setattr("shutil.disk_usage", lambda folder: shutil._ntuple_diskusage(10, 10, 0))
+    # Of a disk of a terabyte, 500 MB stay free.
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: shutil._ntuple_diskusage(10**12, 10**12, 504_000_000))
     found, warnings = read(path)
-    assert "has 0 free" in warnings[0]
+    assert "has 504 MB left; need more" in warnings[0]
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: shutil._ntuple_diskusage(10**12, 10**12, 506_000_000))
+    assert read(path) == (ALL, ())
+
+
+def test_logs_of_several_files_share_the_temporary_space(tmp_path):
+    """Two copies of 5 MB each, and room for one."""
+    paths = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        paths.append(logged(tmp_path / name / "bag"))
+        os.truncate(paths[-1], 5_000_000)
+    with open_bag(paths, limits=LimitsParameters(temporary_mb=8)) as bag:
+        assert bag.message_count == len(ALL) + 1
+        assert [("limits.temporary_mb" in warning) for warning in bag.warnings] == [True]
 
 
 def test_what_is_behind_a_log_is_not_copied(tmp_path):

@@ -80,3 +80,25 @@ def test_the_error_under_way_is_the_one_that_is_reported():
     with pytest.raises(KeyboardInterrupt), BackgroundWorker(work) as behind:
         behind.put(1)
         raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("is_full", [True, False])
+def test_work_that_hangs_is_given_up_where_items_are_put_and_at_the_end(is_full: bool):
+    hangs = threading.Event()
+    with pytest.raises(TimeoutError), BackgroundWorker(lambda _: hangs.wait(), 2, 0.2) as worker:
+        for _ in range(5 if is_full else 1):
+            worker.put(None)
+    hangs.set()
+
+
+def test_slow_work_is_finished_when_each_item_is_within_the_patience():
+    done: list[int] = []
+
+    def work(item: int) -> None:
+        time.sleep(0.15)
+        done.append(item)
+
+    with BackgroundWorker(work, 5, 0.6) as worker:
+        for item in range(5):
+            worker.put(item)
+    assert done == list(range(5))

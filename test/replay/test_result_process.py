@@ -8,7 +8,9 @@ import io
 import json
 import os
 import pickle
+import signal
 import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +25,7 @@ from imgu_ros.errors import BagError, FileError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.planar import TargetImage, prepare_targets
-from imgu_ros.replay import result_sink
+from imgu_ros.replay import result_process, result_sink
 from imgu_ros.replay.frame_source import FrameSource
 from imgu_ros.replay.output_folder import output_folder
 from imgu_ros.replay.recording import record_simulation
@@ -33,6 +35,7 @@ from imgu_ros.replay.result_process import ResultProcess, serve
 from imgu_ros.replay.result_sink import ResultThread
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
+from imgu_ros.stop_signals import Stopped, held, stop_signals
 
 FRAMES = 40
 
@@ -174,6 +177,43 @@ def test_a_process_that_is_killed_is_told_of(parameters: Parameters, written: li
         sink._process.wait()
         for _ in range(400):
             sink.put(written[1])
+
+
+@pytest.mark.parametrize("is_full", [True, False])
+def test_a_process_that_hangs_is_ended(
+    parameters: Parameters, written: list[ResultItem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_full: bool
+) -> None:
+    """Its pipe is full while frames are put, or it takes everything and never completes its files."""
+    monkeypatch.setattr(result_process, "_PATIENCE_S", 1.0)
+    with (
+        pytest.raises(BagError, match=r"took no data for 1 s and was ended"),
+        files(tmp_path, parameters) as described,
+        ResultProcess(described) as sink,
+    ):
+        sink._process.send_signal(signal.SIGSTOP)
+        for _ in range(3000 if is_full else 1):
+            sink.put(written[1])
+    assert sink._process.returncode == -signal.SIGKILL
+    assert len(untimed(tmp_path / "frames.csv")) >= 1
+
+
+def test_an_interrupt_ends_a_replay_whose_process_hangs(
+    parameters: Parameters, written: list[ResultItem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether the signal comes while `put` waits, which no signal interrupts, or between two frames."""
+    monkeypatch.setattr(result_process, "_PATIENCE_S", 1.0)
+    with (
+        stop_signals(),
+        pytest.raises((BagError, Stopped)),
+        files(tmp_path, parameters) as described,
+        ResultProcess(described) as sink,
+    ):
+        sink._process.send_signal(signal.SIGSTOP)
+        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        while True:
+            with held():
+                sink.put(written[1])
+    assert sink._process.returncode == -signal.SIGKILL
 
 
 def test_an_input_that_breaks_off_leaves_whole_files(
