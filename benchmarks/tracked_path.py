@@ -94,7 +94,7 @@ def walk_frames() -> Walks:
     process, frames = _pipeline()
     # The first frame is detected.
     count = 1 + _TRACKED_BEFORE + _TRACKED
-    walks = [_walk(process, next(frames)) for _ in range(count + _EMPTY_BEFORE + _EMPTY)]
+    walks = [count_calls(process, next(frames)) for _ in range(count + _EMPTY_BEFORE + _EMPTY)]
     return Walks(_median(walks[count - _TRACKED : count]), _median(walks[-_EMPTY:]))
 
 
@@ -125,7 +125,7 @@ def _median(walks: Sequence[Walk]) -> Walk:
     return sorted(walks, key=lambda walk: (walk.calls, walk.all_calls))[len(walks) // 2]
 
 
-def _walk(process: Callable[[Frame], Result], frame: Frame) -> Walk:
+def count_calls(process: Callable[[Frame], Result], frame: Frame) -> Walk:
     """Process one frame and count what it calls."""
     modules: list[str] = []
     all_calls = 0
