@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The errors of the package: one base, one class for each kind of cause.
+"""The errors of the package: one base, one class for each kind of cause; the nearest known name for their messages.
 
 A message gives the name of the thing, what was got, and what is needed, on one line.
 """
 
+import difflib
+from collections.abc import Iterable
+
 from imgu_ros.shown_text import shown
+
+#: Names come from outside: of a longer one only the start is compared.
+_LONGEST = 80
 
 
 class ImguError(Exception):
@@ -81,3 +87,25 @@ class NotConfirmed(NoConsensus):
 
 class NotConverged(EstimationError):
     """An iteration ended without reaching its tolerance."""
+
+
+def nearest_name(name: object, known: Iterable[str]) -> str:
+    """Return the known name nearest to `name`, ignoring case; empty when none is near.
+
+    Parameters
+    ----------
+    name : as given; any other object is compared by its text
+    known : the names that are accepted
+
+    Examples
+    --------
+    >>> nearest_name("BAYER_RGBG8", ["mono8", "bayer_rggb8"])
+    'bayer_rggb8'
+    >>> nearest_name("h264", ["mono8", "bayer_rggb8"])
+    ''
+    """
+    by_folded: dict[str, str] = {}
+    for candidate in known:
+        by_folded.setdefault(candidate.casefold(), candidate)
+    near = difflib.get_close_matches(str(name)[:_LONGEST].casefold(), by_folded, n=1)
+    return by_folded[near[0]] if near else ""

@@ -38,7 +38,7 @@ NUMERIC = {"numpy", "scipy", "cv2"}
 
 #: The rooms, from the bottom up: a module imports from its own room and from those before it.
 ORDER = (
-    "shown_text", "errors", "nearest_name", "arguments", "types", "file_access", "vision", "config", "frame", "image",
+    "shown_text", "errors", "arguments", "types", "file_access", "vision", "config", "frame", "image",
     "result", "stage_clock", "reasons", "build_cache", "reference", "pose", "track", "detect", "localizer",
     "localizer_builder", "remarks", "stop_signals", "threads", "image_files", "messages", "files", "simulate", "report",
     "bags", "replay", "bench", "ros", "cli",
@@ -51,7 +51,7 @@ PIPELINE = {
 
 #: What a room may import from outside the standard library, where that is limited.
 THIRD_PARTY = {
-    **{key: set[str]() for key in ("shown_text", "errors", "nearest_name")},
+    **{key: set[str]() for key in ("shown_text", "errors")},
     **{key: {"numpy"} for key in ("arguments", "types")},
     **dict.fromkeys(("vision", "messages", *PIPELINE), NUMERIC),
     "config": {"yaml"},

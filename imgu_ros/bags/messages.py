@@ -12,8 +12,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from imgu_ros.errors import BagError, ShapeError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import BagError, ShapeError, nearest_name
 from imgu_ros.types import Image
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imgu_ros.bags.reading import BagTopic
-from imgu_ros.errors import BagError, ParameterError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import BagError, ParameterError, nearest_name
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"

@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from imgu_ros.cli.terminal import Parser, fail, let_streams_print_everything, say, tell
-from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import ImguError, ParameterError, nearest_name
 from imgu_ros.shown_text import quoted
 from imgu_ros.stop_signals import Stopped, requested, stop_signals
 

@@ -12,8 +12,7 @@ import argparse
 import importlib
 
 from imgu_ros.cli.terminal import fail, say
-from imgu_ros.errors import ParameterError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import ParameterError, nearest_name
 from imgu_ros.shown_text import quoted
 
 HELP = "run a live node"

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which parameters make sense together, and why the others do not.
+"""Which parameter values go together, and why others conflict.
 
-A value by itself is checked where it is read (`parameter_values.checked_value`); here are the values that depend on
-each other.
+`values.checked_value` checks a value alone; here are the values that depend on each other.
 """
 
 from __future__ import annotations
@@ -10,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from imgu_ros.config.parameters import CameraParameters, Parameters, RawParameters
+from imgu_ros.config.parameters import CameraParameters, Parameters, RawParameters, TargetsParameters
 from imgu_ros.errors import ParameterError
 from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
 
-#: Of a covariance, relative: numbers are written with a few digits.
+#: Relative tolerance of a covariance's symmetry: numbers in files have few digits.
 _ROUNDING = 1e-5
 
 
@@ -24,60 +23,72 @@ def check_together(parameters: Parameters) -> None:
     Raises
     ------
     ParameterError
-        If parallel lists disagree, the levels or bands of raw data contradict each other, or the methods of the chain
-        make no sense together (`why_not`).
+        If parallel lists disagree, the levels or bands of raw data contradict each other, or the chosen methods
+        conflict (`method_conflict`).
     """
     for reason in (
-        *_about_targets(parameters),
-        *_about_camera(parameters.camera),
-        *_about_raw(parameters.raw),
-        why_not(parameters),
+        *_target_faults(parameters.targets),
+        *_camera_faults(parameters.camera),
+        *_raw_faults(parameters.raw),
+        method_conflict(parameters),
     ):
         if reason:
             raise ParameterError(reason)
 
 
-def why_not(parameters: Parameters) -> str:
-    """Return why the chain's methods make no sense together: what was got, what is needed; empty when they do.
+def method_conflict(parameters: Parameters) -> str:
+    """Return which of the chosen methods conflict, and what is needed; empty when none do.
 
-    It speaks of detector, descriptor, metric, pyramid, preprocessing and the numbers that count what these give; every
-    other choice (demosaicking, kernel, sampler, score, error, refinement, tracking) goes with every choice.
+    Detector, descriptor, metric, pyramid and preprocessing depend on each other, and so do the numbers of keypoints,
+    patches and inliers. Every other choice (demosaicking, kernel, sampler, score, error, refinement, tracking) goes
+    with every choice.
 
     Examples
     --------
     >>> from imgu_ros.config.parameters import KeypointsParameters, PyramidParameters
-    >>> why_not(Parameters())
+    >>> method_conflict(Parameters())
     ''
     >>> laplacian = PyramidParameters(kind="laplacian")
-    >>> why_not(Parameters(pyramid=laplacian, keypoints=KeypointsParameters(detector="dog"))).partition(";")[0]
-    "pyramid.kind: 'laplacian' leaves few structures, and keypoints.detector 'dog' looks for those of every size"
+    >>> method_conflict(Parameters(pyramid=laplacian, keypoints=KeypointsParameters(detector="dog"))).partition(",")[0]
+    "pyramid.kind: 'laplacian' conflicts with keypoints.detector 'dog'"
     """
-    return next(_contradictions(parameters), "")
+    return next(_method_conflicts(parameters), "")
 
 
-def _contradictions(p: Parameters) -> Iterator[str]:
+def _method_conflicts(p: Parameters) -> Iterator[str]:
     kind, metric, descriptor = p.descriptor.kind, p.matching.metric, DESCRIPTORS[p.descriptor.kind]
-    if metric != "auto" and metric not in descriptor.metrics:
-        need = " or ".join(("auto", *descriptor.metrics))
-        yield f"matching.metric: {metric!r}, and descriptor.kind {kind!r} {descriptor.nature}; need {need}"
+    metrics = ("auto", *descriptor.metrics)
+    if metric not in metrics:
+        yield (
+            f"matching.metric: {metric!r} conflicts with descriptor.kind {kind!r}, which {descriptor.nature}; need "
+            f"{' or '.join(metrics)}"
+        )
     detector, edges, threshold = p.keypoints.detector, p.preprocess.edges, p.preprocess.threshold
     if descriptor.detects and detector != kind:
-        yield f"keypoints.detector: {detector!r}, and descriptor.kind {kind!r} finds its own keypoints; need {kind!r}"
+        yield (
+            f"keypoints.detector: {detector!r} conflicts with descriptor.kind {kind!r}, which detects its own "
+            f"keypoints; need {kind!r}"
+        )
     if detector not in DETECTORS and detector != kind:
-        yield f"descriptor.kind: {kind!r}, and keypoints.detector {detector!r} describes, too; need {detector!r}"
+        yield (
+            f"descriptor.kind: {kind!r} conflicts with keypoints.detector {detector!r}, which describes its keypoints; "
+            f"need {detector!r}"
+        )
     if detector in DETECTORS and DETECTORS[detector].finds_every_scale:
-        seen = f"keypoints.detector {detector!r} looks for those of every size"
-        for name, value, wrong, others in (
+        for name, value, is_wrong, others in (
             ("pyramid.kind", p.pyramid.kind, p.pyramid.kind == "laplacian", "coarse or fine"),
             ("preprocess.edges", edges, edges != "none", "none"),
             ("preprocess.threshold", threshold, threshold != "none", "none"),
         ):
-            if wrong:
-                yield f"{name}: {value!r} leaves few structures, and {seen}; need {others}, or another detector"
+            if is_wrong:
+                yield (
+                    f"{name}: {value!r} conflicts with keypoints.detector {detector!r}, which builds its scales from "
+                    f"plain grey values; need {others}, or another detector"
+                )
     if edges != "none" and threshold != "none":
         yield (
-            f"preprocess.threshold: {threshold!r} leaves steps of one height to preprocess.edges {edges!r}, and "
-            f"nothing to tell places apart; need one of the two"
+            f"preprocess.threshold: {threshold!r} conflicts with preprocess.edges {edges!r}: all edges of a binary "
+            "image are equally strong; need one of the two"
         )
     fewest = p.homography.min_inliers
     if p.keypoints.max_count < fewest:
@@ -86,8 +97,7 @@ def _contradictions(p: Parameters) -> Iterator[str]:
         yield f"refinement.max_points: {p.refinement.max_points}; need at least homography.min_inliers ({fewest})"
 
 
-def _about_targets(parameters: Parameters) -> Iterator[str]:
-    targets = parameters.targets
+def _target_faults(targets: TargetsParameters) -> Iterator[str]:
     count = len(targets.images)
     for name, values, each in (
         ("widths_m", targets.widths_m, 1),
@@ -99,15 +109,15 @@ def _about_targets(parameters: Parameters) -> Iterator[str]:
             yield f"targets.{name}: {len(values)} values; need {need}"
 
 
-def _about_camera(camera: CameraParameters) -> Iterator[str]:
+def _camera_faults(camera: CameraParameters) -> Iterator[str]:
     given = camera.covariance
     side = math.isqrt(len(given))
     if not given:
         return
     if side * side != len(given) or side < 4:
         yield (
-            f"camera.covariance: {len(given)} values; need 16 (fx, fy, cx, cy by themselves), or (4 + n)^2 with n "
-            "distortion coefficients, row by row"
+            f"camera.covariance: {len(given)} values; need 16 (fx, fy, cx, cy alone), or (4 + n)^2 with n distortion "
+            "coefficients, row by row"
         )
         return
     variances = given[:: side + 1]
@@ -120,25 +130,24 @@ def _about_camera(camera: CameraParameters) -> Iterator[str]:
             if abs(one - other) > _ROUNDING * most or abs(one) > (1 + _ROUNDING) * most:
                 yield (
                     f"camera.covariance: {one:g} in row {i + 1}, column {j + 1}, and {other:g} in row {j + 1}, column "
-                    f"{i + 1}; need the same, at most {most:.6g} by the variances"
+                    f"{i + 1}; need equal values, at most {most:.6g} by the variances"
                 )
                 return
 
 
-def _about_raw(raw: RawParameters) -> Iterator[str]:
-    if len(raw.gains) != 3:
-        yield f"raw.gains: {len(raw.gains)} values; need 3 (red, green, blue)"
-    if len(raw.grey_weights) != 3:
-        yield f"raw.grey_weights: {len(raw.grey_weights)} values; need 3 (red, green, blue)"
-    elif not any(raw.grey_weights):
+def _raw_faults(raw: RawParameters) -> Iterator[str]:
+    for name, values in (("gains", raw.gains), ("grey_weights", raw.grey_weights)):
+        if len(values) != 3:
+            yield f"raw.{name}: {len(values)} values; need 3 (red, green, blue)"
+    if not any(raw.grey_weights):
         yield "raw.grey_weights: all 0; need at least one other value"
     if 0 < raw.white_level <= raw.black_level:
         yield f"raw.white_level: {raw.white_level:g}; need more than raw.black_level ({raw.black_level:g})"
-    yield _about_bands(raw)
+    yield _band_fault(raw)
 
 
-def _about_bands(raw: RawParameters) -> str:
-    """Return what is wrong with a band mode whose weights or reference are missing, or do not go with the bands."""
+def _band_fault(raw: RawParameters) -> str:
+    """Return why the weights or the spectrum that a band mode needs are missing or do not match the bands."""
     name, values = {
         "weighted": ("raw.band_weights", raw.band_weights),
         "spectral_angle": ("raw.reference_spectrum", raw.reference_spectrum),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 parameter files and overrides, read as rcl reads them, without ROS."""
+"""ROS 2 parameter files and overrides, read without ROS as rcl reads them; parameter files written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from imgu_ros.config.values import checked_value, is_empty_group, value_or_empty
 from imgu_ros.errors import ParameterError
 from imgu_ros.file_access.bounded_reading import file_bytes
 
-#: Parameters that every ROS 2 node has by itself; without ROS they mean nothing.
+#: Parameters of every ROS 2 node; they have no meaning without ROS.
 _OF_EVERY_NODE = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
 
 
@@ -30,7 +30,7 @@ def read_parameter_file(path: Path | str, node_name: str = "perception") -> dict
     FileError
         If the file cannot be read.
     ParameterError
-        If it is no YAML, has no section for the node, or a parameter is unknown (the nearest known one is named), of
+        If it is not YAML, has no section for the node, or a parameter is unknown (the nearest known one is named), of
         the wrong type, or out of range.
     """
     given = GivenParameters(node_name)
@@ -56,8 +56,8 @@ class GivenParameters:
 
     Parameters
     ----------
-    node_name : with or without namespace. Without ROS there is no namespace: where a file has no section of exactly
-        this name, the section of its only node of this name in a namespace is meant
+    node_name : with or without namespace. Without ROS there is no namespace: in a file without a section of exactly
+        this name, the section of its only node of this name in any namespace is read
     """
 
     def __init__(self, node_name: str = "perception") -> None:
@@ -86,7 +86,7 @@ class GivenParameters:
         return self._given.add_override(text)
 
     def values(self) -> dict[str, object]:
-        """Return the checked values by full name; what every ROS 2 node has by itself is left out.
+        """Return the checked values by full name, without the parameters of every ROS 2 node.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class GivenParameters:
         return values
 
     def warnings(self) -> list[str]:
-        """Return a line for each parameter that ROS 2 leaves at another value than the one that was given last."""
+        """Return a line for each parameter whose value in force is not the one given last."""
         return self._given.overruled(self._applies)
 
     def _applies(self, section: str) -> bool:

@@ -15,8 +15,7 @@ from functools import cache
 from inspect import getdoc
 from typing import Any, cast, get_args, get_type_hints
 
-from imgu_ros.errors import ParameterError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import ParameterError, nearest_name
 from imgu_ros.vision.methods import descriptor_names, detector_names
 
 #: What a parameter can hold: the types that ROS 2 parameters have in common with Python.

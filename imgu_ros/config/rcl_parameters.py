@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files and overrides as rcl combines them: the same language, the same order, the same result.
+"""Parameter files and overrides, combined as rcl combines them.
 
-A replay must get from a file what the live node gets from it through rcl. rcl parses YAML events with a small state
-machine; this is that machine. Consequences that may surprise: sections apply in the order of their first appearance,
-not by how specific they are; `-p` belongs to the section `/**`; a value given again with another type does not replace
-the first one; tags other than `!!str` are ignored; lists may be nested (the last inner one counts); no aliases.
+A replay must read from a file what the live node reads from it through rcl. rcl parses YAML events with a small state
+machine, and this is that machine. Surprising consequences: sections apply in the order of their first appearance, not
+by how specific they are; `-p` belongs to the section `/**`; a value does not replace an earlier one of another type;
+tags other than `!!str` are ignored; of nested lists the last inner one is used; aliases are refused.
 Source: rcl_yaml_param_parser and rclpy's `Node.get_parameters` of ROS 2 Jazzy.
 """
 
@@ -23,16 +23,16 @@ SECTION = "ros__parameters"
 
 #: The section that overrides of the command line belong to.
 _COMMAND_LINE = "/**"
-#: Of one section, and characters of a name with its groups: far more than a node has.
+#: Limits on one section's parameters and on the length of a full name, far above those of any node.
 _MOST_PARAMETERS, _LONGEST_NAME = 5000, 1000
 _NODE_NAME = re.compile(r"/?((\*\*?|[A-Za-z_][A-Za-z0-9_]*)/)*(\*\*?|[A-Za-z_][A-Za-z0-9_]*)")
-#: In the order in which rclpy takes a parameter's value from what rcl has stored under its name.
+#: rcl stores a value for each type under one name; rclpy takes the first of these.
 _TYPES = ("bool", "int", "float", "str", "list of bool", "list of int", "list of float", "list of str")
 
 
 @dataclass(slots=True, eq=False)
 class _Entry:
-    """What one section says of one parameter: a value for each type that was given, and the one given last."""
+    """One parameter in one section: a value for each type that was given, and the value given last."""
 
     name: str
     values: dict[str, object] = field(default_factory=dict)
@@ -42,12 +42,12 @@ class _Entry:
 
     @property
     def value(self) -> object:
-        """The value in force: None where only an empty group was given."""
+        """The value in force; None where only an empty group was given."""
         return next((self.values[kind] for kind in _TYPES if kind in self.values), self.given)
 
 
 class RclParameters:
-    """What the parameter files and overrides of one command line say, section by section."""
+    """The parameter files and overrides of one command line, section by section."""
 
     def __init__(self) -> None:
         self._sections: dict[str, list[_Entry]] = {}
@@ -88,7 +88,7 @@ class RclParameters:
         return name
 
     def entries(self, applies: Callable[[str], bool]) -> dict[str, _Entry]:
-        """Return what is in force for a node, by parameter; `applies` says of a section's name whether it counts."""
+        """Return the entries in force for a node, by parameter; `applies` tells whether a section is the node's."""
         return {entry.name: entry for name, entries in self._sections.items() if applies(name) for entry in entries}
 
     def overruled(self, applies: Callable[[str], bool]) -> list[str]:
@@ -121,13 +121,13 @@ class RclParameters:
         return self._sections.setdefault(name, [])
 
     def stamp(self, entry: _Entry, given: object, source: str) -> None:
-        """Note what was given last."""
+        """Record the value given last."""
         self._count += 1
         entry.given, entry.source, entry.order = given, source, self._count
 
 
 def section_applies(section: str, node_name: str) -> bool:
-    """Return whether a section's name, which may have wildcards, means a node; both with a leading slash."""
+    """Return whether a section's name, with wildcards, matches a node's; both begin with a slash."""
     pattern = section.replace("/*", "(/\\w+)")
     return re.fullmatch(pattern, node_name, re.ASCII) is not None
 
@@ -138,7 +138,7 @@ def with_slash(name: str) -> str:
 
 
 class _Machine:
-    """rcl's state while it reads one file, or the value of one override: of `entry`."""
+    """rcl's parser of one file, or of the value of one override (that of `entry`)."""
 
     def __init__(self, owner: RclParameters, source: str, entry: _Entry | None = None) -> None:
         self.sections: list[str] = []
@@ -160,14 +160,14 @@ class _Machine:
                 take(event)
             case yaml.SequenceStartEvent():
                 if self._is_key or not self._in_section:
-                    raise self._error("a list instead of a name", "NAME: VALUE")
+                    raise self._error("a list in place of a name", "NAME: VALUE")
                 self._start_list()
             case yaml.SequenceEndEvent():
                 self._end_list()
                 self._is_key = True
             case yaml.MappingStartEvent():
                 self._depth += 1
-                # The map right below `ros__parameters` opens no group.
+                # The mapping right below `ros__parameters` is not a group.
                 self._is_new_map = not (self._in_section and self._depth - self._names.count == 3)
                 self._is_key = True
             case yaml.MappingEndEvent():
@@ -186,10 +186,9 @@ class _Machine:
             case yaml.SequenceEndEvent():
                 self._end_list()
             case yaml.MappingStartEvent() | yaml.AliasEvent():
-                kind = "names" if isinstance(event, yaml.MappingStartEvent) else "an alias"
-                raise self._error(
-                    f"holds {kind}", "a value or a list of values", self._entry.name if self._entry else ""
-                )
+                kind = "a mapping" if isinstance(event, yaml.MappingStartEvent) else "an alias"
+                name = self._entry.name if self._entry else ""
+                raise self._error(kind, "a value or a list of values", name)
 
     def _key(self, event: yaml.ScalarEvent) -> None:
         name = str(event.value).partition("\0")[0]
@@ -208,7 +207,7 @@ class _Machine:
         if not self._names.count:
             raise self._error(f"'{SECTION}:' outside of a node's section", "'/**:' above it")
         if not _NODE_NAME.fullmatch(self._names.text):
-            raise self._error(f"{self._names.text!r} is no node's name", "'/**' or names with '/' between")
+            raise self._error(f"{self._names.text!r} is not a node name", "'/**', or names separated by '/'")
         self._section, self._entry = self._names.text, None
         self.sections.append(with_slash(self._section))
         self._owner.section(self._section)
@@ -225,7 +224,7 @@ class _Machine:
         if not self._groups.count:
             self._entry = self._owner.entry(self._section, name, self._source)
         else:
-            # The entry that stood for the group becomes its first parameter.
+            # As in rcl, the entry of the group becomes its first parameter.
             self._entry = self._owner.entry(self._section, self._groups.text, self._source)
             self._entry.name = f"{self._groups.text}.{name}"
 
@@ -288,7 +287,7 @@ class _Machine:
 
 
 class _Path:
-    """Names joined by a separator, and how many keys they came from: one key may hold several names."""
+    """Names joined by a separator, and the number of keys they came from: one key may hold several names."""
 
     def __init__(self, separator: str) -> None:
         self._separator = separator

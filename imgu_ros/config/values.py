@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of parameters: from what people give to checked `Parameters`, and back."""
+"""Values of parameters: from given values to checked `Parameters`, and back."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import Any, cast
 
 from imgu_ros.config.checks import check_together
 from imgu_ros.config.parameters import Declaration, Parameters, ParameterValue, declaration, declarations
-from imgu_ros.errors import ParameterError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import ParameterError, nearest_name
 
-#: Names that the interfaces reserve and that no released chain fulfils yet: refused with the reason.
+#: Choices reserved for later versions: refused with that reason.
 RESERVED_CHOICES = {("reference", "keyframe"), ("reference", "rotation")}
 
 #: ROS's integers have 64 bits.
@@ -46,12 +45,12 @@ def checked_value(name: str, value: object) -> ParameterValue:
 
 
 def value_or_empty(name: str, value: object) -> object:
-    """Return what ROS gives for a parameter; no value means an empty list: ROS cannot tell the type of `[]`."""
+    """Return a value that ROS gives for a parameter; for a list, no value is an empty list: `[]` has no type in ROS."""
     return () if value is None and declaration(name).type_name.endswith("_array") else value
 
 
 def is_empty_group(name: str, value: object) -> bool:
-    """Return whether a name without a value is a group's (`homography: {}`), which says nothing."""
+    """Return whether a name without a value is that of a group (`homography: {}`), which sets nothing."""
     return value is None and any(known.name.startswith(f"{name}.") for known in declarations())
 
 
@@ -61,7 +60,7 @@ def parameters_from(values: Mapping[str, object], base: Parameters | None = None
     Raises
     ------
     ParameterError
-        As `checked_value`; and .
+        As `checked_value`, and as `check_together`.
     """
     result = base or Parameters()
     for name, value in values.items():
@@ -91,7 +90,7 @@ def _checked_scalar(name: str, value: object, type_name: str, known: Declaration
     if type_name == "double" and type(value) is int and abs(value) <= _LARGEST_INTEGER:
         value = float(value)
     if type(value) is not expected:
-        # ROS's tools write and read texts like `on` or `1e3` without quotes.
+        # ROS tools write strings such as `on` or `1e3` without quotes, and read them as another type.
         quotes = ", in quotes" if type_name == "string" and isinstance(value, int | float) else ""
         raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need {_article(type_name)}{quotes}")
     if known.choices and value not in known.choices:
@@ -118,7 +117,7 @@ def _is_list(value: object) -> bool:
 
 
 def _shown(value: object) -> str:
-    """Return a value for a message: on one line, and not endless."""
+    """Return a value for a message, on one line of limited length."""
     if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
         return f"an integer of {value.bit_length()} bits"
     text = " ".join(repr(value).split())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scalars of YAML with the types that rcl's parameter parser gives them, which are not PyYAML's.
+"""Scalars of YAML with the types of rcl's parser, which are not those of PyYAML.
 
 `1e-3` is a double, `010` the integer 8 and `null` a string. Source: `get_value` of rcl_yaml_param_parser (ROS 2 Jazzy),
 which uses C's strtoll and strtod.
@@ -18,11 +18,11 @@ import yaml
 
 from imgu_ros.errors import ParameterError
 
-#: The parser that rcl uses is libyaml. PyYAML has it where it was built with it; its own accepts nearly the same.
+#: rcl uses libyaml, and so does PyYAML where it was built with it; its own parser accepts nearly the same.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
-#: Longer texts are no numbers: to convert them takes time that grows with the square of their length.
+#: Longer texts are not taken for numbers: the conversion takes time quadratic in their length.
 _LONGEST_NUMBER = 1000
 _STRING_TAG = "tag:yaml.org,2002:str"
 #: What C's isspace accepts: strtoll and strtod skip it before a number.
@@ -37,7 +37,7 @@ _YAML_NAMES = frozenset((".nan", ".NaN", ".NAN", *(sign + name for sign in ("", 
 
 
 def scalar_value(event: yaml.ScalarEvent) -> bool | int | float | str:
-    """Return the value of a scalar as rcl types it: bool, int of 64 bits, float, or else the text itself."""
+    """Return a scalar's value with rcl's type: bool, 64-bit int, float, or the text itself."""
     text = str(event.value).partition("\0")[0]  # a C string ends there
     if event.tag == _STRING_TAG or event.style in ("'", '"'):
         return text
@@ -53,7 +53,7 @@ def scalar_value(event: yaml.ScalarEvent) -> bool | int | float | str:
 
 
 def yaml_events(data: bytes, source: str) -> Iterator[yaml.Event]:
-    """Yield the events of a YAML text, in UTF-8 or, with a byte order mark, UTF-16; ParameterError if it is no YAML."""
+    """Yield the events of a YAML text in UTF-8, or UTF-16 with a byte order mark; ParameterError if it is not YAML."""
     if not data.startswith((b"\xff\xfe", b"\xfe\xff")):
         try:
             data.decode("utf-8")
@@ -61,7 +61,7 @@ def yaml_events(data: bytes, source: str) -> Iterator[yaml.Event]:
             line = data[: error.start].count(b"\n") + 1
             byte = data[error.start]
             raise ParameterError(
-                f"{source}: line {line}: byte 0x{byte:02X} is no UTF-8; need a text in UTF-8"
+                f"{source}: line {line}: byte 0x{byte:02X} is not UTF-8; need a text in UTF-8"
             ) from None
     try:
         yield from yaml.parse(data, _LOADER)

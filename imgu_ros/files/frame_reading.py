@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters, Parameters
-from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.errors import FileError, ParameterError, nearest_name
 from imgu_ros.files.camera_info_file import read_description
 from imgu_ros.files.target_images import expanded_path
 from imgu_ros.frame import Frame
 from imgu_ros.messages.camera_reading import CameraDescription, CameraReading, read_camera
 from imgu_ros.messages.encodings import encoding_names, is_image_encoding
 from imgu_ros.messages.frame import decode_frame, read_camera_info
-from imgu_ros.nearest_name import nearest_name
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imgu_ros.errors import EncodingError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import EncodingError, nearest_name
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 

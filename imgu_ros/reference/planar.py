@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.build_cache import BuildCache
-from imgu_ros.config.checks import why_not
+from imgu_ros.config.checks import method_conflict
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.image.development import grey_of
@@ -246,7 +246,7 @@ def known_targets(
     images: Sequence[TargetImage], parameters: Parameters, parts: BuildCache | None = None
 ) -> tuple[Target, ...]:
     """Return targets of which everything is made when it is first asked for; see `prepare_targets`."""
-    reason = why_not(parameters)
+    reason = method_conflict(parameters)
     if reason:
         raise ParameterError(reason)
     parts = BuildCache() if parts is None else parts

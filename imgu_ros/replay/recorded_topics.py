@@ -6,10 +6,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from imgu_ros.errors import ParameterError
+from imgu_ros.errors import ParameterError, nearest_name
 from imgu_ros.messages import results
 from imgu_ros.messages.output_topic import OutputTopic, Recording, Scope
-from imgu_ros.nearest_name import nearest_name
 
 _LEVEL = re.compile(r"pyramid/level_\d{1,2}")
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from imgu_ros.errors import EncodingError, ImguError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import EncodingError, ImguError, nearest_name
 
 
 def make_message(type_name: str, /, **fields: object) -> Any:

@@ -19,9 +19,8 @@ from rclpy.parameter import Parameter
 
 from imgu_ros.config.parameters import Declaration, Parameters, ParameterValue, declaration, declarations
 from imgu_ros.config.values import checked_value, is_empty_group, parameters_from, value_or_empty
-from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.errors import ImguError, ParameterError, nearest_name
 from imgu_ros.files.frame_reading import check_change
-from imgu_ros.nearest_name import nearest_name
 
 #: Values of this group wait for `ParameterServer.reload`.
 STAGED = "targets."

@@ -7,8 +7,7 @@ import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from imgu_ros.errors import ParameterError
-from imgu_ros.nearest_name import nearest_name
+from imgu_ros.errors import ParameterError, nearest_name
 from imgu_ros.simulate.path import Motion
 from imgu_ros.simulate.placing import Placing
 from imgu_ros.vision.camera.distortion_model import DistortionModel

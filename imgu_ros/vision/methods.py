@@ -88,8 +88,8 @@ class Descriptor(Method):
     detects: bool = False
 
 
-_BITS = "is bits, which are compared one by one"
-_GRADIENTS = "is a histogram of numbers, already free of brightness and contrast"
+_BITS = "is binary"
+_GRADIENTS = "is a histogram of gradients"
 
 DETECTORS: dict[str, Detector] = {
     row.name: row
@@ -149,7 +149,7 @@ DESCRIPTORS: dict[str, Descriptor] = {
             columns=169,
             is_binary=False,
             metrics=("ncc", "zmssd", "ssd"),
-            nature="is pixels, which are compared as such",
+            nature="is a patch of grey values",
         ),
     )
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which parameters make sense together: every combination of the chain's methods, by the rules written once more."""
+"""Which parameters go together: every combination of the pipeline's methods, by the rules written once more."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import fields
 
 import pytest
 
-from imgu_ros.config.checks import why_not
+from imgu_ros.config.checks import method_conflict
 from imgu_ros.config.parameters import (
     DescriptorParameters,
     HomographyParameters,
@@ -73,7 +73,7 @@ def test_every_combination_is_accepted_or_refused_in_one_line() -> None:
                 others |= {"keypoints": keypoints, "descriptor": descriptor, "matching": matching}
                 others |= {"pyramid": pyramid, "preprocess": preprocess, "homography": homography}
                 parameters = Parameters(**others)
-                reason = why_not(parameters)
+                reason = method_conflict(parameters)
                 assert (reason == "") is wanted, (reason, parameters)
                 assert not reason or re.fullmatch(r"[a-z_.]+: '[a-z_]+'.+; need [^\n]+", reason)
                 count += 1
@@ -90,7 +90,7 @@ def test_metrics_are_those_of_the_library() -> None:
             parameters = Parameters(
                 descriptor=DescriptorParameters(kind=str(kind)), matching=MatchingParameters(metric=str(metric))
             )
-            reason = why_not(parameters)
+            reason = method_conflict(parameters)
             try:
                 metric_for(kind, metric)
             except ShapeError:
@@ -104,37 +104,34 @@ def test_metrics_are_those_of_the_library() -> None:
     [
         (
             {"matching.metric": "cosine"},
-            (
-                "matching.metric: 'cosine', and descriptor.kind 'orb' is bits, which are compared one by one; "
-                "need auto or hamming"
-            ),
+            "matching.metric: 'cosine' conflicts with descriptor.kind 'orb', which is binary; need auto or hamming",
         ),
         (
             {"keypoints.detector": "mser", "pyramid.kind": "laplacian"},
             (
-                "pyramid.kind: 'laplacian' leaves few structures, and keypoints.detector 'mser' looks for those of "
-                "every size; need coarse or fine, or another detector"
+                "pyramid.kind: 'laplacian' conflicts with keypoints.detector 'mser', which builds its scales from "
+                "plain grey values; need coarse or fine, or another detector"
             ),
         ),
         (
             {"keypoints.detector": "dog", "preprocess.edges": "strength"},
             (
-                "preprocess.edges: 'strength' leaves few structures, and keypoints.detector 'dog' looks for those of "
-                "every size; need none, or another detector"
+                "preprocess.edges: 'strength' conflicts with keypoints.detector 'dog', which builds its scales from "
+                "plain grey values; need none, or another detector"
             ),
         ),
         (
             {"keypoints.detector": "mser", "preprocess.threshold": "fixed"},
             (
-                "preprocess.threshold: 'fixed' leaves few structures, and keypoints.detector 'mser' looks for those "
-                "of every size; need none, or another detector"
+                "preprocess.threshold: 'fixed' conflicts with keypoints.detector 'mser', which builds its scales from "
+                "plain grey values; need none, or another detector"
             ),
         ),
         (
             {"preprocess.edges": "strength", "preprocess.threshold": "otsu"},
             (
-                "preprocess.threshold: 'otsu' leaves steps of one height to preprocess.edges 'strength', and nothing "
-                "to tell places apart; need one of the two"
+                "preprocess.threshold: 'otsu' conflicts with preprocess.edges 'strength': all edges of a binary image "
+                "are equally strong; need one of the two"
             ),
         ),
         (

@@ -67,8 +67,8 @@ def test_ros_itself_reads_the_same_values(ros_domain):
     [
         ("seed=5", "need NAME:=VALUE"), (":=5", "need NAME:=VALUE"), ("seed", "need NAME:=VALUE"),
         ("", "need NAME:=VALUE"), ("seed:=", "no value"), ("seed:=[1", "need valid YAML"),
-        ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "holds names"), ("seed:=[{a: 1}]", "holds names"),
-        ("seed:=[*a]", "need"), ("seed:=a: b: c", "holds names"), ("seed:=[1, 2.0]", "write 1.0, not 1"),
+        ("seed:='a", "need valid YAML"), ("seed:={a: 1}", "a mapping; need"), ("seed:=[{a: 1}]", "a mapping"),
+        ("seed:=[*a]", "need"), ("seed:=a: b: c", "a mapping"), ("seed:=[1, 2.0]", "write 1.0, not 1"),
         ("seed:=[1, a]", "a list of int and str; need values of one type"),
         ("seed:=[1,,]", "need valid YAML"), ("seed:=\x00", "need valid YAML"),
     ],
@@ -142,7 +142,7 @@ def test_what_every_node_has_is_passed_over(tmp_path):
     ("text", "reason"),
     [
         ("", r"no section for node 'perception' \(found: none\)"),
-        ("[1, 2]", "line 1: a list instead of a name; need NAME: VALUE"),
+        ("[1, 2]", "line 1: a list in place of a name; need NAME: VALUE"),
         ("perception: 5\n", "line 1: a value outside of 'ros__parameters:'; need '/\\*\\*:'"),
         ("other:\n  ros__parameters:\n    seed: 3\n", r"no section for node 'perception' \(found: /other\)"),
         ("ros__parameters:\n  seed: 3\n", "outside of a node's section"),
@@ -156,10 +156,10 @@ def test_what_every_node_has_is_passed_over(tmp_path):
         ("/**:\n  ros__parameters:\n    seed: 3\n   bad: 4\n", "line 4: .*need valid YAML"),
         ("/**:\n\tros__parameters: 3\n", "line 2: .*need valid YAML"),
         ("/**:\n  ros__parameters: &a\n    seed: 3\nperception: *a\n", "line 4: an alias"),
-        ("/**:\n  ros__parameters:\n    [1, 2]: 3\n", "line 3: a list instead of a name"),
+        ("/**:\n  ros__parameters:\n    [1, 2]: 3\n", "line 3: a list in place of a name"),
         ("/**:\n  ros__parameters:\n    raw.gains: [1, 2.0]\n", "line 3: raw.gains: a list of int and float; .*1.0"),
-        ("/**:\n  ros__parameters: {}\nother node: {ros__parameters: {}}\n", "line 3: 'other node' is no node's name"),
-        ("/**:\n  ros__parameters: {seed: 1}\n# \u00e9\n".encode("latin-1"), "line 3: byte 0xE9 is no UTF-8"),
+        ("/**:\n  ros__parameters: {}\nother node: {ros__parameters: {}}\n", "line 3: 'other node' is not a node name"),
+        ("/**:\n  ros__parameters: {seed: 1}\n# \u00e9\n".encode("latin-1"), "line 3: byte 0xE9 is not UTF-8"),
         (
             "/**:\n  ros__parameters: {tracking: {}}\n/*: {ros__parameters: {trackng: {}}}\n",
             "trackng: unknown parameter",
@@ -179,7 +179,7 @@ def test_files_that_cannot_be_read(tmp_path):
     with pytest.raises(FileError, match="need a parameter file"):
         read_parameter_file(tmp_path)
     (tmp_path / "binary.yaml").write_bytes(b"\x89PNG\r\n\x1a\n")
-    with pytest.raises(ParameterError, match="line 1: byte 0x89 is no UTF-8"):
+    with pytest.raises(ParameterError, match="line 1: byte 0x89 is not UTF-8"):
         read_parameter_file(tmp_path / "binary.yaml")
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgu_ros.config.checks import why_not
+from imgu_ros.config.checks import method_conflict
 from imgu_ros.config.files import read_parameter_file
 from imgu_ros.config.parameters import (
     DescriptorParameters,
@@ -114,7 +114,7 @@ def bound_combinations() -> list[Combination]:
         combination = dict(zip(BOUND, chosen, strict=True))
         made = {name.partition(".")[0]: groups[name, combination[name]] for name in BOUND if name not in _TOGETHER}
         preprocess = PreprocessParameters(**{name.partition(".")[2]: combination[name] for name in _TOGETHER})
-        if not why_not(Parameters(preprocess=preprocess, **made)):
+        if not method_conflict(Parameters(preprocess=preprocess, **made)):
             found.append(combination)
     return found
 

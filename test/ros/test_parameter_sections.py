@@ -70,7 +70,7 @@ def test_a_pipe_is_not_read_again(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"# Gr\xf6\xdfe\n/**: {ros__parameters: {seed: 1}}\n", "p.yaml: line 1: byte 0xF6 is no UTF-8; "),
+        (b"# Gr\xf6\xdfe\n/**: {ros__parameters: {seed: 1}}\n", "p.yaml: line 1: byte 0xF6 is not UTF-8; "),
         (b"/**:\n  ros__parameters:\n    seed:\n", "p.yaml: line 3: seed: no value; need one"),
         (
             b"/**:\n  ros__parameters:\n    raw.gains: [1, 1.5, 1]\n",

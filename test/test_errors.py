@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hint in error messages about misspelled names."""
+"""The nearest known name in error messages."""
 
 from __future__ import annotations
 
 import pytest
 
 from imgu_ros.config.parameters import declaration
-from imgu_ros.errors import EncodingError, ParameterError
+from imgu_ros.errors import EncodingError, ParameterError, nearest_name
 from imgu_ros.messages.encodings import encoding_named
-from imgu_ros.nearest_name import nearest_name
 
 KNOWN = ("mono8", "bayer_rggb8", "8UC1", "PLUMB_BOB")
 
