@@ -16,7 +16,8 @@ import pytest
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.messages.results import target_pose_message
+from imgu_ros.messages.geometry import pose_message
+from imgu_ros.messages.results import result_header
 from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
@@ -71,7 +72,7 @@ def test_it_is_said_once_and_goes_into_the_covariance(oblique: Any, imgu: Any, p
     for count, (frame, result) in enumerate(zip(frames, results, strict=True), 1):
         camera.send(frame)
         peer.wait(lambda n=count: len(peer.heard["/pose"]) == n, f"pose {count}")
-        assert peer.heard["/pose"][-1] == target_pose_message(make_message, result, result.first, "poster")
+        assert peer.heard["/pose"][-1] == pose_message(make_message, result_header(result), result.first.pose)
     node.wait_for_line("camera_info does not fit what is seen (focal length about ")
     seen = len(peer.heard["/diagnostics"])
     peer.wait(lambda: len(peer.heard["/diagnostics"]) > seen + 1, "/diagnostics")

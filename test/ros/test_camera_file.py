@@ -20,8 +20,9 @@ from std_srvs.srv import Trigger
 from imgu_ros.cli.main import main
 from imgu_ros.files.camera_info_file import camera_info_text
 from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.geometry import pose_message
 from imgu_ros.messages.header import Header
-from imgu_ros.messages.results import target_pose_message
+from imgu_ros.messages.results import result_header
 from imgu_ros.ros.messages import make_message
 from imgu_ros.vision.camera.intrinsics import make_camera as camera_of
 
@@ -82,7 +83,7 @@ def test_a_camera_from_a_file_and_a_mosaic_called_grey(imgu, world, peer, make_c
         sender.send(frame)
         peer.wait(lambda n=count: len(peer.heard["/pose"]) == n, f"pose {count}")
         delays.append(time.monotonic() - begun)
-    expected = [target_pose_message(make_message, result, result.first, "poster") for result in world.results]
+    expected = [pose_message(make_message, result_header(result), result.first.pose) for result in world.results]
     assert peer.heard["/pose"] == expected
     # An image that waits for a camera_info waits 0.3 s at least.
     assert min(delays) < 0.25

@@ -20,9 +20,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from imgu_ros.cli.main import main
 from imgu_ros.messages.features import decode_homographies
+from imgu_ros.messages.geometry import odometry_message, pose_message
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import decode_image
-from imgu_ros.messages.results import target_odometry_message, target_pose_message
+from imgu_ros.messages.results import result_header
 from imgu_ros.ros.messages import make_message, message_class
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -61,10 +62,10 @@ def test_live_equals_offline_bit_for_bit(node, world, peer, make_camera):
         peer.wait(lambda n=count: len(peer.heard["/homography"]) == n, f"result {count}")
     peer.wait(lambda: len(peer.heard["/targets/poster/odom"]) == len(world.frames), "odometry")
     for index, result in enumerate(world.results):
-        expected = target_pose_message(make_message, result, result.first, "poster")
+        expected = pose_message(make_message, result_header(result), result.first.pose)
         assert peer.heard["/pose"][index] == expected
         assert peer.heard["/pose"][index].header == expected.header
-        odometry = target_odometry_message(make_message, result, result.first, "poster")
+        odometry = odometry_message(make_message, result_header(result), "poster", result.first.pose)
         assert peer.heard["/targets/poster/odom"][index] == odometry
         row = decode_homographies(peer.heard["/homography"][index])[0]
         assert np.array_equal(row["h"].reshape(3, 3), result.first.homography.H)

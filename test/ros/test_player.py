@@ -24,9 +24,10 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError
 from imgu_ros.localizer import Localizer
 from imgu_ros.messages.camera_info import camera_info_message
+from imgu_ros.messages.geometry import pose_message
 from imgu_ros.messages.header import Header, decode_header, header_message
 from imgu_ros.messages.image import image_message
-from imgu_ros.messages.results import target_pose_message
+from imgu_ros.messages.results import result_header
 from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.ros import middleware, player
 from imgu_ros.ros.messages import make_message as make_ros_message
@@ -210,7 +211,7 @@ def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path, prompt_s):
     peer.hear("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
     play = imgu("play", str(tmp_path / "bag"), "--wait-for", "1")
     peer.wait(lambda: len(peer.heard["/pose"]) == len(frames), "all poses")
-    expected = [target_pose_message(make_ros_message, r, r.first, "poster") for r in results]
+    expected = [pose_message(make_ros_message, result_header(r), r.first.pose) for r in results]
     assert peer.heard["/pose"] == expected
     assert play.wait() == 0
     assert node.stop() < prompt_s

@@ -24,9 +24,10 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.features import decode_estimates
+from imgu_ros.messages.geometry import odometry_message, pose_message
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import image_message
-from imgu_ros.messages.results import target_odometry_message, target_pose_message
+from imgu_ros.messages.results import result_header
 from imgu_ros.reference.planar import TargetImage, prepare_targets
 from imgu_ros.result import Result, Status
 from imgu_ros.ros.messages import make_message
@@ -168,8 +169,8 @@ def test_six_processes_tell_what_one_tells(stages, world, peer):
         assert_allclose(outline, expected.outline, atol=1e-3)
         # The poses are the same numbers, covariance and all.
         if expected.pose is not None:
-            assert told["/cam/pose"][stamp_ns] == target_pose_message(make_message, result, expected, "poster")
-            odometry = target_odometry_message(make_message, result, expected, "poster")
+            assert told["/cam/pose"][stamp_ns] == pose_message(make_message, result_header(result), expected.pose)
+            odometry = odometry_message(make_message, result_header(result), "poster", expected.pose)
             assert told["/cam/targets/poster/odom"][stamp_ns] == odometry
     assert largest < 1e-9, "px; the acceptance is 0.01"
     for topic in list(heard):
