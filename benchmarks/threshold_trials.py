@@ -19,6 +19,7 @@ from types import FrameType
 
 import numpy as np
 
+from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EstimationError
@@ -441,7 +442,7 @@ def confirmation(quick: bool) -> Run:
 
 
 def _pictures(frame: Frame, parameters: Parameters) -> GreyPyramid:
-    development = develop_frame(frame, parameters)
+    development = develop_frame(frame, DevelopmentParameters.of(parameters))
     assert development.developed is not None, development.reason
     return GreyPyramid(development.developed)
 

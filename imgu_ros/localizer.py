@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import ReferenceDetector, View
 from imgu_ros.errors import EstimationError, ImguError
@@ -57,6 +58,7 @@ class Localizer:
 
     def __init__(self, parameters: Parameters, targets: Sequence[Target], parts: BuildCache | None = None) -> None:
         self._parameters = parameters
+        self._development = DevelopmentParameters.of(parameters)
         self._targets = tuple(targets)
         self._seeker = ReferenceDetector(self._targets, parameters, parts)
         self._now_ns = 0
@@ -122,7 +124,7 @@ class Localizer:
         """
         self._look_at_header(frame.frame_id, frame.stamp_ns)
         self._now_ns = self._memory.times.of(frame.stamp_ns)
-        development = development or develop_frame(frame, self._parameters)
+        development = development or develop_frame(frame, self._development)
         clock = StageClock()
         clock.times_ns[Stage.DEVELOP] = development.took_ns
         start = time.perf_counter_ns() - development.took_ns

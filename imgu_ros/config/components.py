@@ -66,6 +66,15 @@ class ReadingParameters(ComponentParameters):
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedFramesParameters(ReadingParameters):
+    """How a replay takes frames from a recording: which topics, how they are read, the name of the camera's frame."""
+
+    image_topic: str
+    camera_info_topic: str
+    frames: FramesParameters
+
+
+@dataclass(frozen=True, slots=True)
 class DevelopmentParameters(ComponentParameters):
     """How a raw frame becomes a grey and a colour image."""
 

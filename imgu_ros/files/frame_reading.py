@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters, Parameters
+from imgu_ros.config.components import ReadingParameters
+from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import FileError, ParameterError, nearest_name
 from imgu_ros.files.camera_info_file import read_description
 from imgu_ros.files.target_images import expanded_path
@@ -59,12 +60,12 @@ class FrameReading:
         )
 
 
-def frame_reading(parameters: Parameters, before: FrameReading | None = None) -> FrameReading:
+def frame_reading(parameters: ReadingParameters, before: FrameReading | None = None) -> FrameReading:
     """Read what the parameters say of frames, and check it before there are any.
 
     Parameters
     ----------
-    parameters : all parameters
+    parameters : those of reading
     before : no file is read when `camera.info_file` is still the same; returned when the parameters still say the same
 
     Raises
@@ -90,7 +91,7 @@ def frame_reading(parameters: Parameters, before: FrameReading | None = None) ->
     return replace(wanted, file_camera=description)
 
 
-def check_change(parameters: Parameters, before: Parameters) -> None:
+def check_change(parameters: ReadingParameters, before: ReadingParameters) -> None:
     """Raise what `frame_reading` would; other encodings and limits have nothing to do with the camera's file."""
     wanted, was = as_read(parameters), as_read(before)
     if wanted == replace(was, encoding=wanted.encoding, limits=wanted.limits):
@@ -99,7 +100,7 @@ def check_change(parameters: Parameters, before: Parameters) -> None:
         frame_reading(parameters)
 
 
-def as_read(parameters: Parameters) -> FrameReading:
+def as_read(parameters: ReadingParameters) -> FrameReading:
     """Return what the parameters say of frames, without the file's content."""
     camera = parameters.camera
     return FrameReading(

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.errors import ImguError
 from imgu_ros.frame import Frame
 from imgu_ros.image.development import Developed, develop
@@ -28,7 +28,7 @@ class Development:
     took_ns: int
 
 
-def develop_frame(frame: Frame, parameters: Parameters) -> Development:
+def develop_frame(frame: Frame, parameters: DevelopmentParameters) -> Development:
     """Develop a frame; what is wrong with it is said in the result. It depends on no other frame."""
     start = time.perf_counter_ns()
     try:

@@ -9,7 +9,7 @@ from enum import Enum, auto
 from functools import cached_property
 from typing import Any
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.errors import EstimationError
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header
@@ -74,7 +74,7 @@ class ConvertedFrame:
     ----------
     make : makes messages
     result : of the frame
-    parameters : all of them
+    parameters : those of the outputs
     map_from_target : place of each target in the map; empty without a map
     draw : draws a result over its image
 
@@ -89,7 +89,7 @@ class ConvertedFrame:
         self,
         make: MessageFactory,
         result: Result,
-        parameters: Parameters,
+        parameters: OutputParameters,
         map_from_target: Sequence[RigidTransform],
         draw: Callable[[Result], Image],
     ) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.messages import results
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header
@@ -34,7 +34,7 @@ class ResultConverter:
     make : makes messages
     draw : draws a result over its image, for `debug_image`
     target_names : in the order of `targets.images`
-    parameters : all parameters
+    parameters : those of the outputs
 
     Raises
     ------
@@ -47,13 +47,13 @@ class ResultConverter:
         make: MessageFactory,
         draw: Callable[[Result], Image],
         target_names: Sequence[str],
-        parameters: Parameters,
+        parameters: OutputParameters,
     ) -> None:
         self._make, self._draw = make, draw
         self._states: dict[str, Any] = {}
         self.adapt(target_names, parameters)
 
-    def adapt(self, target_names: Sequence[str], parameters: Parameters) -> None:
+    def adapt(self, target_names: Sequence[str], parameters: OutputParameters) -> None:
         """Use other targets or parameters; topics that stay keep what they remember.
 
         Raises

@@ -12,7 +12,7 @@ import numpy as np
 from imgu_ros.bags.reading import Bag, BagMessage, BagTopic
 from imgu_ros.bags.recorded_images import choose_image_topic
 from imgu_ros.bags.topics import find_camera_info_topic
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import DevelopmentParameters, RecordedFramesParameters
 from imgu_ros.errors import EncodingError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
@@ -46,8 +46,7 @@ class FrameSource:
     Parameters
     ----------
     bag : open
-    parameters : `image_topic`, `camera_info_topic`, `camera.info_file`, `camera.rectified`, `raw.encoding`,
-        `frames.camera`
+    parameters : those of recorded frames
 
     Attributes
     ----------
@@ -64,7 +63,7 @@ class FrameSource:
         If `camera.info_file` or `raw.encoding` cannot be used; see `frame_reading`.
     """
 
-    def __init__(self, bag: Bag, parameters: Parameters) -> None:
+    def __init__(self, bag: Bag, parameters: RecordedFramesParameters) -> None:
         self._bag = bag
         self._reading = frame_reading(parameters)
         self._camera_frame = parameters.frames.camera
@@ -150,7 +149,7 @@ class ReadFrame:
     warnings: tuple[str, ...]
 
 
-def read_ahead(bag: Bag, source: FrameSource, parameters: Parameters) -> Iterator[ReadFrame]:
+def read_ahead(bag: Bag, source: FrameSource, parameters: DevelopmentParameters) -> Iterator[ReadFrame]:
     """Yield the source's frames; for another thread, which alone then uses `bag` and `source`."""
     for recorded in source.frames():
         development = None if recorded.reason else develop_frame(recorded.frame, parameters)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.config.components import DevelopmentParameters, OutputParameters, RecordedFramesParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.target_images import load_target_images
@@ -81,9 +82,10 @@ def replay(
             parameters,
         )
         warnings.add(bag.warnings)
-        source = FrameSource(bag, parameters)
+        source = FrameSource(bag, RecordedFramesParameters.of(parameters))
         warnings.add(bag.warnings, source.warnings)
-        ahead = stack.enter_context(closing(Prefetch(read_ahead(bag, source, parameters), size_of, _AHEAD_BYTES)))
+        developed = read_ahead(bag, source, DevelopmentParameters.of(parameters))
+        ahead = stack.enter_context(closing(Prefetch(developed, size_of, _AHEAD_BYTES)))
         frames = iter(ahead)
         first = next(frames, None)
         if first is None:
@@ -100,7 +102,9 @@ def replay(
                 on_warning=lambda text: warnings.add([text]),
             )
         )
-        sink = stack.enter_context(result_sink(ReplayOutput(folder, parameters, names, recorded, total)))
+        sink = stack.enter_context(
+            result_sink(ReplayOutput(folder, OutputParameters.of(parameters), names, recorded, total))
+        )
         statistics = _ReplayRun(total, targets, parameters, recorded, warnings, on_progress).over(
             chained([first], frames), sink
         )

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from imgu_ros.bags.writing import bag_files, unfinished_bag_files
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.pose_files import AMBIGUOUS_FILE, PoseFiles, trajectory_file
 from imgu_ros.replay.output_folder import OutputFiles, RunFolder
@@ -33,14 +33,14 @@ class ReplayOutput:
     Attributes
     ----------
     folder : where
-    parameters : of the replay
+    parameters : those of the outputs
     targets : names
     record : outputs to record beside those that always are
     expected : number of frames, as far as it is known
     """
 
     folder: RunFolder
-    parameters: Parameters
+    parameters: OutputParameters
     targets: tuple[str, ...]
     record: tuple[str, ...]
     expected: int

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.writing import BagWriter
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.messages.result_converter import ResultConverter
 from imgu_ros.replay.recorded_topics import is_recorded
 from imgu_ros.report.overlay import draw_result
@@ -26,7 +26,7 @@ class ResultsBag:
     record : topics to record beside those that always are, see `checked_record`
     """
 
-    def __init__(self, path: Path, parameters: Parameters, targets: Sequence[str], record: Sequence[str]) -> None:
+    def __init__(self, path: Path, parameters: OutputParameters, targets: Sequence[str], record: Sequence[str]) -> None:
         self._converter = ResultConverter(make_message, draw_result, targets, parameters)
         topics = self._converter.topics()
         self._recorded = frozenset(topic for topic, row in topics.items() if is_recorded(topic, row, record))

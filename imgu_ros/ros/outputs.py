@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.messages.geometry import tf_message
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.output_topic import ConvertedFrame
@@ -57,7 +57,7 @@ class Outputs:
     ----------
     node : creates the publishers
     target_names : in the order of `targets.images`
-    parameters : all parameters
+    parameters : those of the outputs
     choice : which topics; None: all of the node `perception`
 
     Raises
@@ -67,7 +67,7 @@ class Outputs:
     """
 
     def __init__(
-        self, node: Node, target_names: Sequence[str], parameters: Parameters, choice: Choice | None = None
+        self, node: Node, target_names: Sequence[str], parameters: OutputParameters, choice: Choice | None = None
     ) -> None:
         self._node = node
         self._choice = choice
@@ -81,11 +81,11 @@ class Outputs:
             self.destroy()
             raise
 
-    def serves(self, target_names: Sequence[str], parameters: Parameters) -> bool:
+    def serves(self, target_names: Sequence[str], parameters: OutputParameters) -> bool:
         """Return whether these outputs are adapted to these targets and parameters."""
         return (tuple(target_names), parameters) == (self._names, self._parameters)
 
-    def adapt(self, target_names: Sequence[str], parameters: Parameters) -> None:
+    def adapt(self, target_names: Sequence[str], parameters: OutputParameters) -> None:
         """Change to other targets or parameters; topics that stay keep their subscribers, paths their poses.
 
         Raises
@@ -170,7 +170,7 @@ class Outputs:
     def _always(self) -> bool:
         return self._parameters.publish_tf and self._is_chosen(TF_TOPIC)
 
-    def _topics(self, converter: ResultConverter, parameters: Parameters) -> dict[str, Topic]:
+    def _topics(self, converter: ResultConverter, parameters: OutputParameters) -> dict[str, Topic]:
         types = {topic: row.type_name for topic, row in converter.topics().items()}
         types |= {TF_TOPIC: TF_TYPE} if parameters.publish_tf else {}
         types = {name: kind for name, kind in types.items() if self._is_chosen(name.removesuffix(_COMPRESSED_SUFFIX))}

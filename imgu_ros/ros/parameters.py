@@ -17,6 +17,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import Declaration, Parameters, ParameterValue, declaration, declarations
 from imgu_ros.config.values import checked_value, is_empty_group, parameters_from, value_or_empty
 from imgu_ros.errors import ImguError, ParameterError, nearest_name
@@ -176,7 +177,7 @@ class ParameterServer:
             # Staged values may come one by one; those that come in one call are meant to fit.
             if len(staged) > 1:
                 parameters_from(_split(self._values)[1] | staged, together)
-            check_change(together, self._live)
+            check_change(ReadingParameters.of(together), ReadingParameters.of(self._live))
         except ImguError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

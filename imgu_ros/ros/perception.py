@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from imgu_ros.config.components import OutputParameters, ReadingParameters
 from imgu_ros.errors import ImguError
 from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.target_images import load_target_images
@@ -76,7 +77,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
 
     def _load(self) -> None:
         parameters = self._server.reload()
-        reading = frame_reading(parameters)
+        reading = frame_reading(ReadingParameters.of(parameters))
         built = self._worker.build(load_target_images(parameters.targets, self._log_warning, limits=parameters.limits))
         self._worker.read_with(reading, parameters)
         self._adopt(built)
@@ -103,7 +104,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
             self._fit_outputs([target.name for target in built.targets])
 
     def _fit_outputs(self, names: Sequence[str]) -> None:
-        parameters = self._server.parameters
+        parameters = OutputParameters.of(self._server.parameters)
         if self._outputs is not None and self._outputs.serves(names, parameters):
             return
         if self._outputs is None:
@@ -123,7 +124,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
             return
         self._worker.follow()
         names = [target.name for target in self._worker.targets]
-        if not self._outputs.serves(names, self._server.parameters):
+        if not self._outputs.serves(names, OutputParameters.of(self._server.parameters)):
             try:
                 with self._worker.soon_between_frames() as between:
                     if between:
@@ -205,7 +206,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
 
     async def _reload(self) -> str:
         staged = self._server.staged()
-        reading = frame_reading(staged)  # the file may have changed
+        reading = frame_reading(ReadingParameters.of(staged))  # the file may have changed
         built = await self._do_beside(
             lambda: self._worker.build(
                 load_target_images(staged.targets, self._log_warning, limits=staged.limits), staged

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
@@ -284,7 +285,7 @@ class Worker:
         if parameters is self._read_for or (parameters is self._unread and now < self._read_again_s):
             return
         try:
-            self.read_with(frame_reading(parameters, self._reading), parameters)
+            self.read_with(frame_reading(ReadingParameters.of(parameters), self._reading), parameters)
         except ImguError as error:  # it was read when the parameter was set, and is gone since
             self._reading_problem = f"parameters: {error}; frames are read as before"
             self._unread, self._read_again_s = parameters, now + _AGAIN_S

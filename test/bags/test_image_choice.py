@@ -13,6 +13,7 @@ from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recorded_images import choose_image_topic, recorded_images
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.config.components import RecordedFramesParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError
 from imgu_ros.messages.encodings import encoding_named
@@ -120,7 +121,7 @@ def test_the_picture_of_the_scene_is_read_and_the_others_are_named(tmp_path, rec
 def test_replay_and_calibrate_read_the_same(tmp_path):
     path = write(tmp_path / "x", {"/depth/image": "16UC1", "/rgb/image": "rgb8"})
     with open_bag([path]) as bag:
-        source = FrameSource(bag, Parameters())
+        source = FrameSource(bag, RecordedFramesParameters.of(Parameters()))
         assert source.image_topic.name == "/rgb/image"
         said = "several image topics: reading /rgb/image (rgb8), not /depth/image (16UC1); set -p image_topic:=NAME"
         assert source.warnings == [said]

@@ -16,6 +16,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
@@ -99,7 +100,9 @@ PARAMETERS = {"targets.images": ["a.png", "b.png"], "path.max_length": 1000}
 
 
 def recorded(folder: Path, parameters: Parameters, record: list[str]) -> dict[str, list[Any]]:
-    with closing(ResultsBag(folder / "results", parameters, ["a", "b"], checked_record(record))) as bag:
+    with closing(
+        ResultsBag(folder / "results", OutputParameters.of(parameters), ["a", "b"], checked_record(record))
+    ) as bag:
         for frame in FRAMES:
             bag.write(frame, frame.frame.stamp_ns)
     found: dict[str, list[Any]] = {}
@@ -127,7 +130,7 @@ def test_the_live_node_publishes_the_new_output() -> None:
 
     topics = ("smoothed_position", "targets/b/smoothed_position")
     node = FakeNode(*topics)
-    outputs = Outputs(node, ["a", "b"], parameters_from(PARAMETERS))  # type: ignore[arg-type]
+    outputs = Outputs(node, ["a", "b"], OutputParameters.of(parameters_from(PARAMETERS)))  # type: ignore[arg-type]
 
     def published(topic: str) -> list[float]:
         return [message.point.x for message in node.publishers[topic].sent]
@@ -140,6 +143,6 @@ def test_the_live_node_publishes_the_new_output() -> None:
     # A reset drops the state; a parameter that changes acts on the next frame, and the state stays.
     outputs.reset()
     outputs.publish(frame_at(4, 3.0, 5.0))
-    outputs.adapt(["a", "b"], parameters_from({"path.max_length": 500}, parameters_from(PARAMETERS)))
+    outputs.adapt(["a", "b"], OutputParameters.of(parameters_from(PARAMETERS | {"path.max_length": 500})))
     outputs.publish(frame_at(5, 4.0, 5.0))
     assert published(topics[0])[3:] == pytest.approx([3.0, 4.0 - math.exp(-2)])

@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from imgu_ros.bags.messages import make_message
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.files import read_parameter_file
 from imgu_ros.config.parameters import CameraParameters, Parameters
 from imgu_ros.config.values import parameters_from
@@ -121,18 +122,20 @@ def info_message(binning: int = 1) -> Any:
 def test_the_parameter_is_of_camera_infos_numbers_and_wins_over_the_file(tmp_path: Path) -> None:
     other = tuple(np.diag([9.0, 16, 1, 4]).ravel().tolist())
     by_parameter = Parameters(camera=CameraParameters(covariance=other))
-    read = frame_reading(by_parameter).camera(info_message(binning=2), (320, 240)).camera
+    read = frame_reading(ReadingParameters.of(by_parameter)).camera(info_message(binning=2), (320, 240)).camera
     assert read is not None and read.covariance is not None
     assert np.sqrt(np.diag(read.covariance)).tolist() == [1.5, 2, 0.5, 1, 0, 0, 0, 0, 0]
-    assert frame_reading(Parameters()).camera(info_message(), (640, 480)).camera.covariance is None  # type: ignore[union-attr]
+    assert (
+        frame_reading(ReadingParameters.of(Parameters())).camera(info_message(), (640, 480)).camera.covariance is None
+    )  # type: ignore[union-attr]
 
     write_camera_info(tmp_path / "a.yaml", camera())
     of_file = Parameters(camera=CameraParameters(info_file=str(tmp_path / "a.yaml")))
-    reading = frame_reading(of_file)
+    reading = frame_reading(ReadingParameters.of(of_file))
     read = reading.camera(info_message(), (640, 480)).camera
     assert read is not None and np.array_equal(read.covariance, camera().covariance)  # type: ignore[arg-type]
     changed = replace(of_file, camera=replace(of_file.camera, covariance=other))
-    again = frame_reading(changed, reading)
+    again = frame_reading(ReadingParameters.of(changed), reading)
     assert again is not reading
     read = again.camera(None, (640, 480)).camera
     assert read is not None and read.covariance is not None
@@ -141,12 +144,14 @@ def test_the_parameter_is_of_camera_infos_numbers_and_wins_over_the_file(tmp_pat
 
 def test_one_that_is_not_the_cameras_costs_the_pose_and_says_why(tmp_path: Path) -> None:
     wrong = Parameters(camera=CameraParameters(covariance=tuple(np.eye(12).ravel().tolist())))
-    read = frame_reading(wrong).camera(info_message(), (640, 480))
+    read = frame_reading(ReadingParameters.of(wrong)).camera(info_message(), (640, 480))
     assert read.camera is None
     assert "covariance: of 12 numbers; need 9 x 9: fx, fy, cx, cy and the 5 coefficients of plumb_bob" in read.reason
     write_camera_info(tmp_path / "a.yaml", camera())
     with pytest.raises(FileError, match="camera.info_file: .* of 12 numbers"):
-        frame_reading(replace(wrong, camera=replace(wrong.camera, info_file=str(tmp_path / "a.yaml"))))
+        frame_reading(
+            ReadingParameters.of(replace(wrong, camera=replace(wrong.camera, info_file=str(tmp_path / "a.yaml"))))
+        )
 
 
 @pytest.mark.parametrize(
@@ -155,7 +160,7 @@ def test_one_that_is_not_the_cameras_costs_the_pose_and_says_why(tmp_path: Path)
         ([1.0] * 9, "9 values; need 16"),
         ([1.0] * 17, "17 values; need 16"),
         (np.diag([1.0, 1, 1, -2]).ravel().tolist(), "a variance of -2"),
-        ((np.eye(4) + np.triu(np.full((4, 4), 0.1), 1)).ravel().tolist(), "in row 2, column 1, .* need the same"),
+        ((np.eye(4) + np.triu(np.full((4, 4), 0.1), 1)).ravel().tolist(), "in row 2, column 1, .* need equal values"),
         ((3 * np.ones((4, 4)) - 2 * np.eye(4)).ravel().tolist(), "at most 1 by the variances"),
     ],
 )

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import DEFAULT_LIMITS, Parameters
 from imgu_ros.errors import EncodingError
 from imgu_ros.files.frame_reading import check_change, frame_reading
@@ -259,14 +260,14 @@ def test_limits_bound_what_is_decoded(make, limits, says):
 def test_a_change_of_the_limits_takes_effect_with_the_next_frame(make):
     message = make("sensor_msgs/msg/CompressedImage", format="png", data=as_array(png((3000, 2000))))
     before = Parameters()
-    reading = frame_reading(before)
+    reading = frame_reading(ReadingParameters.of(before))
     assert reading.frame(message, None).image.pixels.shape == (2000, 3000)
     after = replace(before, limits=replace(before.limits, picture_mb=1))
-    check_change(after, before)
-    changed = frame_reading(after, reading)
+    check_change(ReadingParameters.of(after), ReadingParameters.of(before))
+    changed = frame_reading(ReadingParameters.of(after), reading)
     with pytest.raises(EncodingError, match=r"\(limits.picture_mb\)"):
         changed.frame(message, None)
-    assert frame_reading(before, changed).frame(message, None).image.pixels.shape == (2000, 3000)
+    assert frame_reading(ReadingParameters.of(before), changed).frame(message, None).image.pixels.shape == (2000, 3000)
 
 
 @pytest.mark.parametrize("size", [(10**9, 1), (1, 10**9), (2**32 - 1, 2**32 - 1), (10**5, 10**4)])

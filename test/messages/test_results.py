@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EncodingError
@@ -36,14 +37,18 @@ def rejected(result: Result) -> Result:
 def converted(make, result, parameters=None, wanted=lambda topic: True):
     """Return every message of a result, by topic."""
     names = [target.name for target in result]
-    converter = ResultConverter(make, lambda _: np.zeros((2, 3, 3), np.uint8), names, parameters or Parameters())
+    converter = ResultConverter(
+        make, lambda _: np.zeros((2, 3, 3), np.uint8), names, OutputParameters.of(parameters or Parameters())
+    )
     made = list(converter.messages(converter.frame(result), wanted))
     assert len({topic for one in made for topic in one.topics}) == sum(len(one.topics) for one in made)
     return {topic: one.message for one in made for topic in one.topics}
 
 
 def test_every_output_carries_the_header_and_its_type(make, result):
-    converter = ResultConverter(make, lambda _: np.zeros((2, 3, 3), np.uint8), ["poster", "box", "floor"], Parameters())
+    converter = ResultConverter(
+        make, lambda _: np.zeros((2, 3, 3), np.uint8), ["poster", "box", "floor"], OutputParameters.of(Parameters())
+    )
     messages = converted(make, result)
     assert messages.keys() <= converter.topics().keys()
     assert {row.name for topic, row in converter.topics().items() if topic in messages} == {

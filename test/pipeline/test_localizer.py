@@ -138,7 +138,7 @@ def test_a_frame_without_the_target_is_lost_and_the_next_one_found(one_target_fr
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
     for empty in (noise, np.zeros_like(noise), np.full_like(noise, 255)):
         assert chain.process(first).first.status.found
-        lost = chain.process(replace(first, image=RawImage(empty, first.image.layout))).targets[0]
+        lost = chain.process(replace(first, image=RawImage(empty, first.image.layout))).first
         assert lost.status is Status.LOST
         assert lost.reason
         assert lost.homography is None

@@ -16,6 +16,7 @@ import pytest
 
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.cli.main import main
+from imgu_ros.config.components import RecordedFramesParameters
 from imgu_ros.config.files import read_parameter_file
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
@@ -80,7 +81,7 @@ def test_the_same_as_one_frame_after_the_other(bag: Path, parameters: Parameters
     assert cv2.getNumThreads() == threads
     chain = Localizer(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source, FramesWriter(tmp_path / "serial.csv") as serial:
-        for recorded in FrameSource(source, parameters).frames():
+        for recorded in FrameSource(source, RecordedFramesParameters.of(parameters)).frames():
             serial.write(chain.process(recorded.frame))
     assert untimed(tmp_path / "out" / "frames.csv") == untimed(tmp_path / "serial.csv")
     assert len(untimed(tmp_path / "serial.csv")) == FRAMES

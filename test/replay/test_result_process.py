@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.config.components import RecordedFramesParameters
 from imgu_ros.config.files import read_parameter_file
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
@@ -58,7 +59,7 @@ def written(bag: Path, parameters: Parameters) -> list[ResultItem]:
     """Three frames' results."""
     chain = Localizer(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source:
-        frames = FrameSource(source, parameters).frames()
+        frames = FrameSource(source, RecordedFramesParameters.of(parameters)).frames()
         return [ResultItem(chain.process(next(frames).frame), index) for index in range(3)]
 
 

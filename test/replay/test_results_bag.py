@@ -11,6 +11,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.image.development import develop
@@ -33,7 +34,7 @@ def test_the_camera_in_the_map(tmp_path: Path) -> None:
     image = RawImage(np.zeros((4, 6), np.uint8), PixelLayout(ColorModel.MONO))
     seen = CAMERA.inverse().after(PLACE)
     pose = Pose(seen.R, seen.t, np.eye(6) * 1e-6, 0.1)
-    with closing(ResultsBag(tmp_path / "results", parameters, ["a"], ["path"])) as bag:
+    with closing(ResultsBag(tmp_path / "results", OutputParameters.of(parameters), ["a"], ["path"])) as bag:
         for n, status in enumerate((Status.DETECTED, Status.LOST, Status.TRACKED)):
             given = pose if status.found else None
             target = ReferenceResult("a", 0, status, PoseStatus.METRIC if given else PoseStatus.NONE, pose=given)

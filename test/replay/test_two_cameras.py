@@ -10,6 +10,7 @@ import numpy as np
 from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
+from imgu_ros.config.components import RecordedFramesParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.header import Header
@@ -37,7 +38,7 @@ def test_each_image_is_read_with_the_camera_info_of_its_own_frame(tmp_path) -> N
             for topic, message in messages:
                 writer.write(topic, message, stamp_ns)
     with open_bag([tmp_path / "bag"]) as bag:
-        source = FrameSource(bag, Parameters())
+        source = FrameSource(bag, RecordedFramesParameters.of(Parameters()))
         frames = [recorded.frame for recorded in source.frames()]
     assert len(frames) == 60
     for name, f in FOCAL_PX.items():

@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.files import parse_override, read_parameter_file
 from imgu_ros.config.parameters import Declaration, Parameters, declarations
 from imgu_ros.config.values import parameter_values, parameters_from
@@ -197,10 +198,10 @@ def test_an_encoding_is_set_although_the_camera_file_has_vanished(make_node, tmp
                                                "plumb_bob", 480, 360)))  # fmt: skip
     node = make_node()
     assert node.set(camera__info_file=str(file)).successful
-    before = frame_reading(node.server.parameters)
+    before = frame_reading(ReadingParameters.of(node.server.parameters))
     file.unlink()
     assert node.set(raw__encoding="bayer_rggb8").successful
-    reading = frame_reading(node.server.parameters, before)
+    reading = frame_reading(ReadingParameters.of(node.server.parameters), before)
     assert (reading.encoding, reading.file_camera) == ("bayer_rggb8", before.file_camera)
     assert "bayer_rggb8" in node.set(raw__encoding="bayer_rgbg8").reason
     assert "camera.yaml" in node.set(camera__rectified=True).reason

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.detect import robust_fit as locating
@@ -61,7 +62,7 @@ class Told:
     def publish(self, result: Result) -> None:
         self.result = result
         names = [target.name for target in result]
-        converter = ResultConverter(make_message, draw_result, names, self._stage.parameters)
+        converter = ResultConverter(make_message, draw_result, names, OutputParameters.of(self._stage.parameters))
         made = converter.messages(converter.frame(result), self._stage.choice.includes)
         self.messages |= {topic: one.message for one in made for topic in one.topics}
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
+from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import plain_picture
 from imgu_ros.errors import ImguError
@@ -69,7 +70,7 @@ class DemosaicStage(Stage):
         frame = self.reading.frame(job.messages[_IN], job.camera_info)
         if frame.image.remark:
             self.remarks += (frame.image.remark,)
-        development = develop_frame(frame, p)
+        development = develop_frame(frame, DevelopmentParameters.of(p))
         if development.developed is None:
             raise ImguError(development.reason)
         result = Result(frame, {}, developed=development.developed)

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Sequence
 
+from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
@@ -119,12 +120,12 @@ class StageNode(ManagedNode[StageInput]):
 
     def _fit(self, parameters: Parameters) -> None:
         """Have the publishers and the inputs that the parameters ask for."""
-        names = [image.name for image in self._images]
-        if self._outputs is None or not self._outputs.serves(names, parameters):
+        names, wanted = [image.name for image in self._images], OutputParameters.of(parameters)
+        if self._outputs is None or not self._outputs.serves(names, wanted):
             if self._outputs is None:
-                self._outputs = Outputs(self, names, parameters, self._stage.choice)
+                self._outputs = Outputs(self, names, wanted, self._stage.choice)
             else:
-                self._outputs.adapt(names, parameters)
+                self._outputs.adapt(names, wanted)
             possible = self._outputs.qos_override_names() + self._input.qos_override_names()
             for line in self._server.unknown_qos_overrides(possible):
                 if line not in self._told:

@@ -11,6 +11,7 @@ import numpy as np
 from rclpy.node import Node
 
 from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
@@ -82,13 +83,14 @@ class Stage(ABC):
     def read_again(self, parameters: Parameters) -> None:
         """Read the camera's file anew; FileError when that cannot be: the old one stays."""
         if self.reads_camera:
-            self.reading = frame_reading(parameters)
+            self.reading = frame_reading(ReadingParameters.of(parameters))
 
     def reset(self) -> None:  # noqa: B027
         """Forget what earlier frames told: most stages remember nothing."""
 
     def _reading_for(self, parameters: Parameters) -> FrameReading:
-        return frame_reading(parameters, self.reading) if self.reads_camera else self.reading
+        wanted = ReadingParameters.of(parameters)
+        return frame_reading(wanted, self.reading) if self.reads_camera else self.reading
 
     def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
         """Return whether these messages of one stamp, by the names of their feeds, are enough to work on.
