@@ -33,7 +33,8 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.image_files.images import read_image
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import CalibrationFinding, ReferenceResult
 from imgu_ros.simulate.chessboard import random_chessboard_view
 from imgu_ros.simulate.placing import Placing, camera_before_target
@@ -196,7 +197,7 @@ def focal(folder: Path, seed: int, count: int, frames: int, frontal: bool) -> li
             placings = [placing] * 10 + [replace(placing, tilt_rad=math.radians(8))] * (frames - 10)
         shown = sequence(view, placings, seed + index)
         parameters = Parameters()
-        chain = Localizer(parameters, prepare_targets([view.target], parameters))
+        chain = Localizer(parameters, prepare_references([view.target], parameters))
         for error in ERRORS:
             done = run(chain, shown, with_focal_error(view.camera, error))
             part = slice(10, None) if frontal else slice(None)
@@ -239,7 +240,7 @@ def noise(folder: Path, seed: int, frames: int) -> list[dict[str, object]]:
         for name, pixels in prints(folder, seed, 3):
             view = made(name, pixels, lens)
             parameters = Parameters()
-            chain = Localizer(parameters, prepare_targets([view.target], parameters))
+            chain = Localizer(parameters, prepare_references([view.target], parameters))
             worst, squared, warnings, inflated, errors = 0.0, [], 0, 0, []
             for index in range(frames // 3):
                 lap, rng = index // _LAP_FRAMES, np.random.default_rng([seed, index, 0xA])
@@ -283,7 +284,7 @@ def drawn(folder: Path, seed: int, count: int, frames: int) -> dict[str, object]
             placing = Placing(tilt_rad=math.radians(tilt), width_share=float(rng.uniform(0.25, 0.5)))
             shown += sequence(view, [placing] * frames, seed + index, 30 * tilt)
         parameters = Parameters()
-        views.append((view, shown, Localizer(parameters, prepare_targets([view.target], parameters))))
+        views.append((view, shown, Localizer(parameters, prepare_references([view.target], parameters))))
     for index in range(count):
         view, shown, chain = views[index % len(views)]
         rng = np.random.default_rng([seed, index, 4])

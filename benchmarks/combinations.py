@@ -31,7 +31,9 @@ from imgu_ros.config.parameters import declaration
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 
@@ -129,11 +131,11 @@ def make_scene(size: tuple[int, int], count: int) -> Scene:
     return Scene(
         tuple(simulate_sequence(simulation, picture)),
         picture,
-        Localizer(parameters, prepare_targets(picture, parameters)),
+        Localizer(parameters, prepare_references(picture, parameters)),
     )
 
 
-def measured(scene: Scene, values: dict[str, object], targets: tuple[Target, ...]) -> Figures:
+def measured(scene: Scene, values: dict[str, object], targets: tuple[Reference, ...]) -> Figures:
     """Search every frame for the target, with and without alignment."""
     aligned = Localizer(parameters_from({**BASE, **values}), targets)
     plain = Localizer(parameters_from({**BASE, **values, "refinement.enabled": False}), targets)
@@ -166,7 +168,7 @@ def one_word_changes(counts: int) -> Iterator[Figures]:
         scene = make_scene(size, counts)
         for change in ("", *(text for text, _ in CHANGES)):
             values = dict(_assigned(word) for word in change.split())
-            targets = prepare_targets(scene.picture, parameters_from({**BASE, **values}))
+            targets = prepare_references(scene.picture, parameters_from({**BASE, **values}))
             yield measured(scene, values, targets)
 
 
@@ -178,7 +180,7 @@ def _assigned(word: str) -> tuple[str, object]:
 def all_combinations(count: int) -> Iterator[Figures]:
     """Measure every valid combination on the smaller size; the target is prepared once for those that share it."""
     scene = make_scene(SIZES[1], count)
-    prepared: dict[tuple[object, ...], tuple[Target, ...]] = {}
+    prepared: dict[tuple[object, ...], tuple[Reference, ...]] = {}
     for chosen in itertools.product(*(declaration(name).choices for name in AXES)):
         values: dict[str, object] = dict(zip(AXES, chosen, strict=True))
         try:
@@ -189,7 +191,7 @@ def all_combinations(count: int) -> Iterator[Figures]:
             continue
         key = tuple(values[name] for name in AXES if not name.startswith("homography."))
         if key not in prepared:
-            prepared[key] = prepare_targets(scene.picture, parameters)
+            prepared[key] = prepare_references(scene.picture, parameters)
         yield measured(scene, values, prepared[key])
 
 

@@ -29,7 +29,8 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import PoseStatus
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
@@ -176,7 +177,7 @@ def setting_of(arguments: argparse.Namespace, parameters: Parameters) -> Setting
     return Setting(
         camera,
         [Renderer(arrange_scene([t]), camera, _LAYOUT) for t in targets],
-        [Localizer(parameters, prepare_targets([t], parameters)) for t in targets],
+        [Localizer(parameters, prepare_references([t], parameters)) for t in targets],
         arguments.seed,
         tracking,
     )

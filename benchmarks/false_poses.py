@@ -24,7 +24,8 @@ from imgu_ros.bench.machine import this_machine
 from imgu_ros.cli.options import add_parameter_options, parameters_of
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.types import Image
@@ -67,7 +68,7 @@ def main() -> None:
     parameters = parameters_of(args, {"tracking.enabled": False})
     width, height = (int(side) for side in args.size.split("x"))
     rows = []
-    for number, known in enumerate(known_targets(args.data, args.targets)):
+    for number, known in enumerate(make_references(args.data, args.targets)):
         count = args.frames * (number + 1) // args.targets - args.frames * number // args.targets
         rows.append(counted(known, (width, height), count, args.seed + number, parameters))
         row = rows[-1]
@@ -84,7 +85,7 @@ def main() -> None:
 
 def counted(known: Known, size: tuple[int, int], count: int, seed: int, parameters: Parameters) -> Counts:
     """Work on `count` frames that do not show the target."""
-    chain = Localizer(parameters, prepare_targets([known.target], parameters))
+    chain = Localizer(parameters, prepare_references([known.target], parameters))
     chain.prepare()
     false_at: list[int] = []
     took = 0.0
@@ -98,7 +99,7 @@ def counted(known: Known, size: tuple[int, int], count: int, seed: int, paramete
     return Counts(known.target.name, seed, count, tuple(false_at), 1e3 * took / max(count, 1))
 
 
-def known_targets(data: Path, count: int) -> Iterator[Known]:
+def make_references(data: Path, count: int) -> Iterator[Known]:
     """Yield photographs and procedural pictures in turn, each with the photographs that it is not."""
     files = sorted(path for folder in FOLDERS for path in (data / folder).iterdir())
     read = [(path.stem, cv2.imread(str(path), cv2.IMREAD_COLOR)) for path in files]

@@ -29,7 +29,8 @@ from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.image_files.images import read_image
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference import verification
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import ReferenceResult, Status
 from imgu_ros.simulate.chessboard import random_chessboard_view
 from imgu_ros.simulate.conditions import PLAIN, Condition, condition_named
@@ -163,7 +164,7 @@ def run_clips(clips: Sequence[Clip], parameters: Parameters) -> Ran:
     for clip in clips:
         key = tuple(id(target.pixels) for target in clip.targets)
         if key not in known:
-            known[key] = Localizer(parameters, prepare_targets(clip.targets, parameters))
+            known[key] = Localizer(parameters, prepare_references(clip.targets, parameters))
             known[key].prepare()
         localizer = known[key]
         localizer.reset()
@@ -417,7 +418,7 @@ def confirmation(quick: bool) -> Run:
     }
     parameters = Parameters()
     prepared = {
-        id(c.target.pixels): prepare_targets([c.target], parameters)[0] for group in groups.values() for c in group
+        id(c.target.pixels): prepare_references([c.target], parameters)[0] for group in groups.values() for c in group
     }
     pictures = {id(c): _pictures(c.simulated.frame, parameters) for group in groups.values() for c in group}
 
@@ -620,7 +621,7 @@ def calibration(quick: bool) -> Run:
             after, squared = [], []
             for target, shown in sequences:
                 parameters = Parameters()
-                localizer = Localizer(parameters, prepare_targets([target], parameters))
+                localizer = Localizer(parameters, prepare_references([target], parameters))
                 warned = frames
                 for index, simulated in enumerate(shown):
                     result = localizer.process(_with_focal_error(simulated.frame, error))

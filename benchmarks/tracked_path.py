@@ -34,7 +34,8 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.report.versions import versions
 from imgu_ros.result import Result
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
@@ -101,7 +102,7 @@ def walk_frames() -> Walks:
 def _pipeline() -> tuple[Callable[[Frame], Result], Iterator[Frame]]:
     """Return what processes one frame, and frames."""
     parameters, images = Parameters(), default_targets(1)
-    chain = Localizer(parameters, prepare_targets(images, parameters))
+    chain = Localizer(parameters, prepare_references(images, parameters))
     chain.prepare()
     return chain.process, _frames(images)
 

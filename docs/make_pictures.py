@@ -12,7 +12,7 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.image_files.images import write_image
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import prepare_targets
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
@@ -23,7 +23,7 @@ _WIDTH = 480
 def main() -> None:
     """Draw the raw mosaic and the pose found in it, for three frames of the demo."""
     targets = default_targets()
-    chain = Localizer(Parameters(), prepare_targets(targets, Parameters()))
+    chain = Localizer(Parameters(), prepare_references(targets, Parameters()))
     columns = []
     for index, simulated in enumerate(islice(simulate_sequence(Simulation(), targets), max(_SHOWN) + 1)):
         result = chain.process(simulated.frame)

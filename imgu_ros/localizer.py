@@ -1,280 +1,217 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chain: one frame in, one result out."""
+"""The pipeline: one frame in, one result out."""
 
 from __future__ import annotations
 
-import time
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from imgu_ros.build_cache import BuildCache
+from imgu_ros.camera_memory import CameraMemories, CameraMemory
 from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import Parameters
-from imgu_ros.detect.detector import ReferenceDetector, View
+from imgu_ros.detect.features import Features, find_features
+from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.errors import EstimationError, ImguError
 from imgu_ros.frame import Frame
-from imgu_ros.image.development import Developed
 from imgu_ros.image.frame_development import Development, develop_frame
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.pose.calibration_check import CalibrationCheck
-from imgu_ros.pose.planar_pose import posed
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.features import extractor_options
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference_kinds import make_detectors
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
 from imgu_ros.stage_clock import StageClock
-from imgu_ros.track.frame_times import FrameTimes
-from imgu_ros.track.prediction import Observation, Track
 from imgu_ros.track.refinement import Alignment
 from imgu_ros.track.tracker import follow, located
+from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.matching.matches import Matches
 
-#: While one target is tracked, every so many searches for a few missing ones are thorough.
+#: While one reference is tracked, every so many searches for a few missing ones are thorough.
 _THOROUGH_EVERY = 6
-#: Sightings farther apart tell nothing about how a target moves.
-_STEADY_NS = 500_000_000
-#: So many cameras, by the frames' frame_id, are told apart.
-_CAMERAS = 8
-#: Stamps that jump back by more belong to another recording, or to the same one played again.
-JUMP_NS = 1_000_000_000
 
 
 class Localizer:
-    """From raw frames to poses of known targets.
+    """From raw frames to poses of known references.
 
-    Frames are expected in the order of time; the tracker remembers where targets were. Stamps that jump back by more
-    than a second (a recording played in a loop) make it forget: the frames that follow are those of a new chain. A
-    single stamp of 0 among others is none: the tracks go on after it. Where stamps do not rise, frames count as evenly
-    spaced. Frames of several cameras, told by their frame_id, may come in turn: each has its own memory.
+    Frames are expected in temporal order; where stamps do not rise, frames count as evenly spaced. A backward jump in
+    time of more than a second resets what is remembered (a recording played in a loop); a single stamp of 0 among
+    others does not. Frames of several cameras, identified by their frame_id, may alternate: each has its own memory.
 
     Parameters
     ----------
     parameters : all parameters
-    targets : prepared with the same parameters
-    parts : takes what is made; what was made before of the same targets is used again
+    references : made with the same parameters, with unique names
+    cache : keeps what is computed; what was computed before of the same references is used again
     """
 
-    def __init__(self, parameters: Parameters, targets: Sequence[Target], parts: BuildCache | None = None) -> None:
+    def __init__(
+        self, parameters: Parameters, references: Iterable[Reference], cache: BuildCache | None = None
+    ) -> None:
         self._parameters = parameters
         self._development = DevelopmentParameters.of(parameters)
-        self._targets = tuple(targets)
-        self._seeker = ReferenceDetector(self._targets, parameters, parts)
-        self._now_ns = 0
-        # By the frames' frame_id, that of the last frame last.
-        self._cameras: OrderedDict[str, _Memory] = OrderedDict()
-        self._memory = _Memory.empty(len(self._targets))
+        self._cache = BuildCache() if cache is None else cache
+        self._cameras = CameraMemories()
+        self._extractor = self._cache.make(make_extractor, extractor_options(parameters))
+        self._know(references)
 
     @property
-    def targets(self) -> tuple[Target, ...]:
-        """The known targets."""
-        return self._targets
+    def references(self) -> tuple[Reference, ...]:
+        """The known references."""
+        return tuple(self._references.values())
+
+    def add(self, reference: Reference) -> None:
+        """Know one more reference, or another one of the same name, from the next frame on; other tracks continue."""
+        self._know([*(each for each in self.references if each.name != reference.name), reference])
+
+    def remove(self, name: str) -> None:
+        """Forget a reference; other tracks continue."""
+        self._know([each for each in self.references if each.name != name])
 
     def prepare(self) -> None:
-        """Make what some frame would have to wait for, some tenths of a second for each target."""
-        self._seeker.prepare()
-        # What the frames are is not known yet: raw ones are the likeliest.
-        for target in self._targets:
-            target.prepare(linear=self._parameters.raw.transfer != "srgb")
+        """Compute what some frame would have to wait for, some tenths of a second for each reference."""
+        for detector in self._detectors.values():
+            detector.prepare()
+        # The frames' encoding is not known yet: raw ones are the likeliest.
+        for reference in self.references:
+            reference.prepare(linear=self._parameters.raw.transfer != "srgb")
 
     def reset(self) -> None:
-        """Forget all that earlier frames told."""
-        self._cameras.clear()
-        self._memory = _Memory.empty(len(self._targets))
+        """Forget everything that earlier frames told."""
+        self._cameras = CameraMemories()
 
     def continue_from(self, before: Localizer) -> None:
-        """Go on where another chain stands: tracks of targets that both know by name and picture go on.
+        """Take over what another localizer remembers; tracks of references with the same name and template continue.
 
-        Tracks are of the template's px: they hold whatever the targets' widths and all parameters are. So does what was
-        seen of the calibration, until the camera changes.
+        Tracks are in template px, whatever the references' widths and all parameters are. The calibration check
+        continues until the camera changes.
         """
-        self.reset()
-        known = {target.name: index for index, target in enumerate(before._targets)}
-        same: dict[int, int] = {}
-        for index, target in enumerate(self._targets):
-            at = known.get(target.name)
-            if at is not None and target.image.shows_the_same(before._targets[at].image):
-                same[index] = at
-        for frame_id, memory in before._cameras.items():
-            self._cameras[frame_id] = self._continued(memory, same)
-            if memory is before._memory:
-                self._memory = self._cameras[frame_id]
-
-    def _continued(self, memory: _Memory, same: Mapping[int, int]) -> _Memory:
-        """Return what another chain remembers of a camera; `same`: indices of the targets, and what they were there."""
-        continued = _Memory.empty(len(self._targets))
-        continued.last_ns, continued.times, continued.calibration = memory.last_ns, memory.times, memory.calibration
-        if self._parameters.tracking.enabled:
-            continued.frames_without_search, continued.searches = memory.frames_without_search, memory.searches
-            for index, at in same.items():
-                continued.tracks[index], continued.seen[index] = memory.tracks[at], memory.seen[at]
-        return continued
+        self._cameras = before._cameras
+        known = before._references
+        same = {name for name, each in self._references.items() if name in known and each.has_template_of(known[name])}
+        self._cameras.keep(same if self._parameters.tracking.enabled else set())
 
     def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
-        """Work on one frame.
+        """Process one frame: develop it, follow tracks, detect missing references, estimate poses, update the tracks.
 
-        A frame that the chain cannot work on is rejected in the result, with the reason; nothing is raised for it.
+        A frame that cannot be used is rejected in the result, with the reason; nothing is raised for it.
 
         Parameters
         ----------
-        frame : what to work on
-        with_keypoints : make pyramid, keypoints and descriptors even when all targets are tracked without them
-        development : of this frame, with the chain's parameters, when it was made ahead (see `develop_frame`)
+        frame : the frame
+        with_keypoints : detect keypoints even when all references are tracked without them
+        development : of this frame, with the same parameters, when it was made ahead (see `develop_frame`)
         """
-        self._look_at_header(frame.frame_id, frame.stamp_ns)
-        self._now_ns = self._memory.times.of(frame.stamp_ns)
-        development = development or develop_frame(frame, self._development)
-        clock = StageClock()
-        clock.times_ns[Stage.DEVELOP] = development.took_ns
-        start = time.perf_counter_ns() - development.took_ns
-        reason = development.reason
-        if development.developed is not None:
-            try:
-                return self._worked(frame, development.developed, with_keypoints, clock, start)
-            except ImguError as error:
-                reason = str(error)
-        total_ns = time.perf_counter_ns() - start
-        return replace(rejected(frame, self._targets, reason), times_ns=clock.times_ns, total_ns=total_ns)
-
-    def _look_at_header(self, frame_id: str, stamp_ns: int) -> None:
-        """Remember the frame's camera; forget what was before a jump back in time, but for a frame without a stamp."""
-        memory = self._cameras.get(frame_id) or _Memory.empty(len(self._targets))
-        before, last_ns = memory.before_zero, memory.last_ns
-        memory.before_zero = None
-        if last_ns is not None and stamp_ns < last_ns - JUMP_NS:
-            before, memory = memory, _Memory.empty(len(self._targets))
-            memory.before_zero = before if stamp_ns == 0 else None
-        elif before is not None and before.last_ns is not None and stamp_ns >= before.last_ns - JUMP_NS:
-            memory = before
-        memory.last_ns = stamp_ns
-        self._memory = self._cameras[frame_id] = memory
-        self._cameras.move_to_end(frame_id)
-        if len(self._cameras) > _CAMERAS:
-            self._cameras.popitem(last=False)
-
-    def _worked(
-        self, frame: Frame, developed: Developed, with_keypoints: bool, clock: StageClock, start: int
-    ) -> Result:
-        pictures = GreyPyramid(developed)
-        results: list[ReferenceResult | None] = [
-            self._followed(index, frame, pictures, clock) for index in range(len(self._targets))
-        ]
-        missing = [index for index, result in enumerate(results) if result is None]
-        due = self._search_is_due(missing)
-        features = self._seeker.features(pictures, clock) if due or with_keypoints else None
-        if features is not None and due:
-            covered = [result.outline for result in results if result is not None and result.outline is not None]
-            view = View(frame, pictures, features, covered)
-            self._memory.searches += 1
-            thorough = self._memory.searches % _THOROUGH_EVERY == 0
-            for result in self._seeker.seek(view, missing, clock, thorough):
-                results[result.number] = result
-        targets = tuple(
-            result or ReferenceResult(target.name, index, Status.LOST, reason=UNLIKELY if due else NOT_DUE)
-            for index, (target, result) in enumerate(zip(self._targets, results, strict=True))
-        )
-        memory = self._memory
-        memory.frames_without_search = 0 if due or not missing else memory.frames_without_search + 1
-        self._remember(targets)
-        targets = memory.calibration.examined(frame.camera, targets)
-        return Result(
-            frame=frame,
-            references=by_name(targets),
-            developed=developed,
-            pyramid=features.pyramid if features else None,
-            keypoints=features.described.keypoints if features else None,
-            descriptors=features.described.descriptors if features else None,
-            calibration=None if frame.camera is None else memory.calibration.finding,
-            times_ns=clock.times_ns,
-            total_ns=time.perf_counter_ns() - start,
-        )
-
-    def _followed(self, index: int, frame: Frame, pictures: GreyPyramid, clock: StageClock) -> ReferenceResult | None:
-        """Return the target where its track leads; None when there is no track or it does not hold."""
-        memory = self._memory
-        track, target, p = memory.tracks[index], self._targets[index], self._parameters
-        if track is None:
-            return None
+        memory = self._cameras.of(frame.frame_id, frame.stamp_ns)
+        time_ns = memory.time_of(frame.stamp_ns)
+        context = FrameContext(frame, development or develop_frame(frame, self._development), self._extract)
         try:
-            with clock.measures(Stage.REFINE):
-                alignment = follow(target, track, pictures, self._now_ns, frame.camera, p)
-        except EstimationError:
-            return None
-        found = ReferenceResult(
-            target.name,
-            index,
-            Status.TRACKED,
-            matches=_as_matches(alignment),
-            confirmed_share=alignment.agreeing_share,
+            developed = context.developed
+            results = self._follow(context, memory, time_ns)
+            missing = [each for name, each in self._references.items() if name not in results]
+            is_due = self._search_is_due(memory, missing)
+            if is_due:
+                results |= self._detect(context, memory, missing, results.values())
+            features = context.features if with_keypoints else context.computed_features
+            results = {name: results.get(name) or _lost(each, is_due) for name, each in self._references.items()}
+            self._remember(memory, results, time_ns)
+            memory.frames_without_search = 0 if is_due or not missing else memory.frames_without_search + 1
+            results = memory.calibration.examined(frame.camera, results)
+        except ImguError as error:
+            return context.timed(rejected(frame, self.references, str(error)))
+        return context.timed(
+            Result(
+                frame,
+                results,
+                developed=developed,
+                pyramid=features.pyramid if features else None,
+                keypoints=features.described.keypoints if features else None,
+                descriptors=features.described.descriptors if features else None,
+                calibration=None if frame.camera is None else memory.calibration.finding,
+            )
         )
-        with clock.measures(Stage.POSE):
-            return posed(found, target, located(alignment), frame.camera, p, frame.camera_reason, memory.calibration)
 
-    def _search_is_due(self, missing: Sequence[int]) -> bool:
-        """Whether missing targets are to be looked for: at once when one was just lost or none is in view."""
+    def _extract(self, image: GreyPyramid, clock: StageClock) -> Features:
+        return find_features(image, self._parameters, self._extractor, clock)
+
+    def _know(self, references: Iterable[Reference]) -> None:
+        self._references = {reference.name: reference for reference in references}
+        self._detectors = make_detectors(self.references, self._parameters, self._cache)
+        self._cameras.keep(self._references.keys())
+
+    def _follow(self, context: FrameContext, memory: CameraMemory, time_ns: int) -> dict[str, ReferenceResult]:
+        """Return the references whose tracks hold, by name."""
+        found: dict[str, ReferenceResult] = {}
+        frame, p = context.frame, self._parameters
+        for name, track in memory.tracks.items():
+            reference = self._references[name]
+            try:
+                with context.clock.measures(Stage.REFINE):
+                    alignment = follow(reference, track, context.image, time_ns, frame.camera, p)
+            except EstimationError:
+                continue
+            with context.clock.measures(Stage.POSE):
+                found[name] = reference.pose(
+                    _tracked(reference, alignment), located(alignment), frame, p, memory.calibration
+                )
+        return found
+
+    def _detect(
+        self,
+        context: FrameContext,
+        memory: CameraMemory,
+        missing: Sequence[Reference],
+        tracked: Iterable[ReferenceResult],
+    ) -> dict[str, ReferenceResult]:
+        """Return what became of the missing references that were looked for, by name."""
+        memory.searches += 1
+        thorough = memory.searches % _THOROUGH_EVERY == 0
+        covered = [result.outline for result in tracked if result.outline is not None]
+        found: dict[str, ReferenceResult] = {}
+        for kind, detector in self._detectors.items():
+            wanted = [reference for reference in missing if reference.kind == kind]
+            if wanted:
+                found |= by_name(detector.detect(context, wanted, covered, thorough))
+        return found
+
+    def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference]) -> bool:
+        """Return whether to search: at once when a track was just lost or none is left, else now and then."""
         if not missing:
             return False
-        just_lost = any(self._memory.tracks[index] is not None for index in missing)
-        none_in_view = len(missing) == len(self._targets)
-        waited = self._memory.frames_without_search + 1
+        just_lost = any(reference.name in memory.tracks for reference in missing)
+        none_in_view = len(missing) == len(self._references)
+        waited = memory.frames_without_search + 1
         return just_lost or none_in_view or waited >= self._parameters.tracking.search_every
 
-    def _remember(self, targets: Sequence[ReferenceResult]) -> None:
-        if not self._parameters.tracking.enabled:
-            return
-        for result in targets:
-            track = self._memory.tracks[result.number]
-            if result.homography is None:
-                self._memory.tracks[result.number] = None
-                continue
-            if track is None or result.status is Status.DETECTED:
-                sighting = Observation(result.homography.H, self._now_ns)
-                self._memory.tracks[result.number] = Track([sighting, *self._shortly_before(result.number)])
-            else:
-                target = self._targets[result.number]
-                self._memory.tracks[result.number] = track.continued(target, result.homography.H, self._now_ns)
-            self._memory.seen[result.number] = Observation(result.homography.H, self._now_ns)
-
-    def _shortly_before(self, index: int) -> list[Observation]:
-        """Return where a target was seen last, when that is no longer ago than it can move on steadily.
-
-        A target that moves fast has moved far when it was detected: two detections tell where it will be.
-        """
-        seen = self._memory.seen[index]
-        return [seen] if seen is not None and 0 < self._now_ns - seen.stamp_ns <= _STEADY_NS else []
+    def _remember(self, memory: CameraMemory, results: Mapping[str, ReferenceResult], time_ns: int) -> None:
+        if self._parameters.tracking.enabled:
+            for name, result in results.items():
+                memory.remember(self._references[name], result, time_ns)
 
 
-@dataclass(slots=True, eq=False)
-class _Memory:
-    """What a chain knows of one camera: `before_zero` is what it knew before a frame without a stamp."""
-
-    tracks: list[Track | None]
-    seen: list[Observation | None]
-    times: FrameTimes
-    calibration: CalibrationCheck
-    frames_without_search: int = 0
-    searches: int = 0
-    last_ns: int | None = None
-    before_zero: _Memory | None = None
-
-    @classmethod
-    def empty(cls, targets: int) -> _Memory:
-        """Return that of a camera that is new, with so many targets."""
-        return cls([None] * targets, [None] * targets, FrameTimes(), CalibrationCheck())
-
-
-def rejected(frame: Frame, references: Sequence[Target], reason: str) -> Result:
+def rejected(frame: Frame, references: Iterable[Reference], reason: str) -> Result:
     """Return the result of a frame that cannot be used, for `reason`."""
     words = unusable_frame(reason)
-    results = (ReferenceResult(known.name, i, Status.REJECTED, reason=words) for i, known in enumerate(references))
+    results = (ReferenceResult(each.name, each.number, Status.REJECTED, reason=words) for each in references)
     return Result(frame, by_name(results), reason=reason)
 
 
-def _as_matches(alignment: Alignment) -> ReferenceMatches:
-    """Return the aligned patches as matches: they have no keypoints, and all agree."""
+def _lost(reference: Reference, is_due: bool) -> ReferenceResult:
+    return ReferenceResult(reference.name, reference.number, Status.LOST, reason=UNLIKELY if is_due else NOT_DUE)
+
+
+def _tracked(reference: Reference, alignment: Alignment) -> ReferenceResult:
+    """Return the result of a reference that is tracked: its matches are the aligned patches, which all agree."""
     count = len(alignment.template_xy)
     none = np.full(count, -1, np.intp)
-    return ReferenceMatches(
+    matches = ReferenceMatches(
         Matches(none, none, np.zeros(count)), alignment.template_xy, alignment.image_xy, np.ones(count, bool)
+    )
+    return ReferenceResult(
+        reference.name,
+        reference.number,
+        Status.TRACKED,
+        matches=matches,
+        confirmed_share=alignment.agreeing_share,
     )

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,13 +20,13 @@ class Built:
 
     Attributes
     ----------
-    chain, targets : what was made
+    chain, references : what was made
     images, parameters : of these
     parts : what a chain for other parameters can use again
     """
 
     chain: Localizer
-    targets: tuple[Target, ...]
+    references: tuple[Reference, ...]
     images: tuple[TargetImage, ...]
     parameters: Parameters
     parts: BuildCache
@@ -46,9 +48,9 @@ def build(images: Sequence[TargetImage], parameters: Parameters, before: Built |
     """
     images = tuple(images)
     parts = BuildCache(None if before is None else before.parts)
-    targets = prepare_targets(images, parameters, parts)
-    chain = Localizer(parameters, targets, parts)
+    references = prepare_references(images, parameters, parts)
+    chain = Localizer(parameters, references, parts)
     # Now, before frames come: later the first thorough search would hold them up.
     chain.prepare()
     parts.settle()
-    return Built(chain, targets, images, parameters, parts)
+    return Built(chain, references, images, parameters, parts)

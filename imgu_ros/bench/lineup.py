@@ -10,7 +10,7 @@ from imgu_ros.bench.recipes import Features, Recipe
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 
 TRACKING, DETECTION, ORB, SIFT = "tracking", "detection", "ORB", "SIFT"
 #: What tables and plots call them.

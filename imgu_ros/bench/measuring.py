@@ -13,7 +13,7 @@ import numpy as np
 
 from imgu_ros.bench.methods import Answer, Method
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.scene import size_of
 from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.simulate.truth import Truth, corner_error, normalised_squared_error

@@ -10,7 +10,8 @@ from typing import Protocol
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.rigid import RigidTransform
 
@@ -71,7 +72,7 @@ class ChainMethod:
 
     def __init__(self, name: str, parameters: Parameters, targets: Sequence[TargetImage]) -> None:
         self.name = name
-        self._chain = Localizer(parameters, prepare_targets(targets, parameters))
+        self._chain = Localizer(parameters, prepare_references(targets, parameters))
 
     def reset(self) -> None:
         """Forget earlier frames."""

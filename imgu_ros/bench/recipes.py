@@ -17,7 +17,7 @@ import numpy as np
 from imgu_ros.bench.methods import Answer, Answered
 from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.types import Choice, Floats, Image, Matrix3
 from imgu_ros.vision.camera.distortion_model import DistortionModel
 from imgu_ros.vision.camera.intrinsics import Camera

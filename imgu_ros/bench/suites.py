@@ -16,7 +16,7 @@ from imgu_ros.bench.measuring import Show, measure, measure_in_turn
 from imgu_ros.bench.memory import PeakMemory, peak_memory, resident_mb
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.conditions import CONDITIONS, PLAIN, Condition
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, simulate_sequence

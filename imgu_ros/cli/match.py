@@ -61,10 +61,10 @@ def run(arguments: argparse.Namespace) -> int:
     _check_outputs(arguments)
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.localizer import Localizer
-    from imgu_ros.reference.planar import prepare_targets
     from imgu_ros.reference.size_checks import SizeChecks
+    from imgu_ros.reference_kinds import prepare_references
 
-    targets = prepare_targets(load_target_images(parameters.targets, warn, limits=parameters.limits), parameters)
+    targets = prepare_references(load_target_images(parameters.targets, warn, limits=parameters.limits), parameters)
     frame = _frame(arguments, parameters)
     if arguments.warp:
         _check_warp(arguments.warp, frame)

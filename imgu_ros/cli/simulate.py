@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from imgu_ros.cli.terminal import say, warn
 
 if TYPE_CHECKING:
-    from imgu_ros.reference.planar import TargetImage
+    from imgu_ros.reference.templates import TargetImage
     from imgu_ros.replay.recording import BagFormat
     from imgu_ros.simulate.capture import Capture
     from imgu_ros.simulate.sequence import Simulation

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looking for the targets that no track led to: which of them, and how thoroughly."""
+"""Detection of the references that no track led to: which of them, and how thoroughly."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -12,14 +13,12 @@ import numpy as np
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import Features, find_features
+from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.robust_fit import draws
 from imgu_ros.detect.search_passes import Searched, SearchPass, search, tentative_matches
-from imgu_ros.frame import Frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.reference.features import TargetFeatures, extractor_options, thorough_parameters
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.result import ReferenceResult, Stage, Status
-from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Points
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.descriptors.extractor import make_extractor
@@ -38,125 +37,115 @@ _FEWEST_VOTES = {SearchPass.FIRST: 3, SearchPass.CLOSE: 5, SearchPass.THOROUGH: 
 _MASK_STEP = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A frame to look for targets in.
-
-    Attributes
-    ----------
-    frame : as it came
-    pictures : the grey one, at every resolution
-    features : of a first look
-    covered : outlines, (4, 2) raw px, of the targets that were found already
-    """
-
-    frame: Frame
-    pictures: GreyPyramid
-    features: Features
-    covered: Sequence[Points] = ()
-
-
-class ReferenceDetector:
-    """Looks for known targets.
-
-    Parameters
-    ----------
-    targets : prepared with the same parameters
-    parameters : all parameters
-    parts : takes what is made; what was made before of the same targets is used again
-    """
-
-    def __init__(self, targets: Sequence[Target], parameters: Parameters, parts: BuildCache | None = None) -> None:
-        self._targets = tuple(targets)
-        self._parameters = parameters
-        self._index: DescriptorIndex | None = None
-        parts = BuildCache() if parts is None else parts
-        self._extractor = parts.make(make_extractor, extractor_options(parameters))
-        if len(targets) > _DIRECT:
-            self._index = parts.make(_index_of, *(target.features for target in targets))
+class Detector(Protocol):
+    """Detects references of one kind in frames."""
 
     def prepare(self) -> None:
-        """Make what the first thorough search would have to wait for."""
-        if self._parameters.search.thorough:
-            for target in self._targets[:_DIRECT]:
-                target.close.features()
-                target.thorough.features()
+        """Compute what the first search would have to wait for."""
 
-    def features(self, pictures: GreyPyramid, clock: StageClock) -> Features:
-        """Return the keypoints and descriptors of a frame's first look."""
-        return find_features(pictures, self._parameters, self._extractor, clock)
-
-    def seek(
-        self, view: View, missing: Sequence[int], clock: StageClock, although_tracked: bool
+    def detect(
+        self, context: FrameContext, missing: Sequence[Any], covered: Sequence[Points], thorough: bool
     ) -> Iterator[ReferenceResult]:
-        """Yield what became of the missing targets that were looked for.
-
-        Those that a first look does not find are looked for from near, then thoroughly.
+        """Yield the results of the missing references that were looked for; others are not in view.
 
         Parameters
         ----------
-        view : the frame
-        missing : indices of targets
-        clock : takes the time of the stages
-        although_tracked : look more than once also when others were found before this search
+        context : the frame
+        missing : the references of this kind that no track led to
+        covered : outlines, (4, 2) raw px, of the references that were found already
+        thorough : search thoroughly although other references are tracked
         """
-        left: dict[int, ReferenceResult | None] = dict.fromkeys(missing)
-        covered = list(view.covered)
-        for look in SearchPass if self._again(view, although_tracked) else (SearchPass.FIRST,):
-            if not left:
+
+
+class ReferenceDetector:
+    """Detects planar images by keypoints.
+
+    Parameters
+    ----------
+    references : made with the same parameters
+    parameters : all parameters
+    cache : keeps what is computed; what was computed before of the same references is used again
+    """
+
+    def __init__(
+        self, references: Sequence[PlanarReference], parameters: Parameters, cache: BuildCache | None = None
+    ) -> None:
+        self._references = tuple(references)
+        self._parameters = parameters
+        self._index: DescriptorIndex | None = None
+        cache = BuildCache() if cache is None else cache
+        self._extractor = cache.make(make_extractor, extractor_options(parameters))
+        if len(references) > _DIRECT:
+            self._index = cache.make(_index_of, *(reference.features for reference in references))
+
+    def prepare(self) -> None:
+        """See `Detector.prepare`."""
+        if self._parameters.search.thorough:
+            for reference in self._references[:_DIRECT]:
+                reference.close.features()
+                reference.thorough.features()
+
+    def detect(
+        self, context: FrameContext, missing: Sequence[PlanarReference], covered: Sequence[Points], thorough: bool
+    ) -> Iterator[ReferenceResult]:
+        """See `Detector.detect`.
+
+        References that a first pass does not find are searched for from near, then thoroughly.
+        """
+        again = self._parameters.search.thorough and (thorough or not covered)
+        some_found, covered = bool(covered), list(covered)
+        left: dict[str, ReferenceResult | None] = {reference.name: None for reference in missing}
+        for search_pass in SearchPass if again else (SearchPass.FIRST,):
+            wanted = [reference for reference in missing if reference.name in left]
+            if not wanted:
                 break
-            features = view.features
-            if look is SearchPass.THOROUGH:
-                features = find_features(view.pictures, thorough_parameters(self._parameters), self._extractor, clock)
-            for result in self._search(replace(view, features=features, covered=covered[:]), look, tuple(left), clock):
-                left[result.number] = result
+            for result in self._search(context, search_pass, wanted, covered[:]):
+                if search_pass is not SearchPass.FIRST or some_found:
+                    # The published keypoints are all those of the first pass.
+                    result = _without_indices(result)
+                left[result.name] = result
                 if result.outline is not None:
                     covered.append(result.outline)
-                    yield left.pop(result.number) or result
+                    del left[result.name]
+                    yield result
         yield from (result for result in left.values() if result is not None)
 
-    def _again(self, view: View, although_tracked: bool) -> bool:
-        """Whether there is more than a first look."""
-        return self._parameters.search.thorough and (although_tracked or not view.covered)
-
     def _search(
-        self, view: View, look: SearchPass, missing: Sequence[int], clock: StageClock
+        self,
+        context: FrameContext,
+        search_pass: SearchPass,
+        wanted: Sequence[PlanarReference],
+        covered: Sequence[Points],
     ) -> Iterator[ReferenceResult]:
-        features = _uncovered(view, view.features)
-        searched = Searched(view.frame, view.pictures, features, look)
-        parameters = thorough_parameters(self._parameters) if look is SearchPass.THOROUGH else self._parameters
-        with clock.measures(Stage.MATCH):
-            likely = self._likely(features.described, missing, _FEWEST_VOTES[look])
-        results = (
-            search(
-                self._targets[index],
-                index,
-                searched,
-                parameters,
-                draws(self._parameters, view.frame.stamp_ns, index),
-                clock,
-            )
-            for index in likely
+        parameters, features = self._parameters, context.features
+        if search_pass is SearchPass.THOROUGH:
+            parameters = thorough_parameters(parameters)
+            features = find_features(context.image, parameters, self._extractor, context.clock)
+        features = _uncovered(features, covered, context.image.shape)
+        searched = Searched(context.frame, context.image, features, search_pass)
+        with context.clock.measures(Stage.MATCH):
+            likely = self._likely(features.described, wanted, _FEWEST_VOTES[search_pass])
+        return while_promising(
+            search(reference, searched, parameters, draws(parameters, context.frame.stamp_ns, reference), context.clock)
+            for reference in likely
         )
-        for result in while_promising(results):
-            # The frame's keypoints that are told are all those of the first look.
-            yield _without_indices(result) if look is not SearchPass.FIRST or view.covered else result
 
     def match(self, described: Descriptions) -> Iterator[ReferenceResult]:
-        """Yield the targets that a first look would look for, the most likely first, with their tentative matches."""
-        for index in self._likely(described, range(len(self._targets)), _FEWEST_VOTES[SearchPass.FIRST]):
-            target = self._targets[index]
-            matches = tentative_matches(target.features, described, self._parameters)
-            yield ReferenceResult(target.name, index, Status.LOST, matches=matches)
+        """Yield the references that a first pass would search for, the most likely first, with tentative matches."""
+        for reference in self._likely(described, self._references, _FEWEST_VOTES[SearchPass.FIRST]):
+            matches = tentative_matches(reference.features, described, self._parameters)
+            yield ReferenceResult(reference.name, reference.number, Status.LOST, matches=matches)
 
-    def _likely(self, described: Descriptions, missing: Sequence[int], fewest: int) -> Sequence[int]:
-        """Return the missing targets that are worth a search, the most likely first."""
-        if self._index is None or len(missing) <= _DIRECT:
-            return missing
-        candidates = np.array(missing)
-        votes = self._index.votes(described.descriptors)[candidates]
+    def _likely(
+        self, described: Descriptions, wanted: Sequence[PlanarReference], fewest: int
+    ) -> Sequence[PlanarReference]:
+        """Return the references that are worth a search, the most likely first."""
+        if self._index is None or len(wanted) <= _DIRECT:
+            return wanted
+        position = {reference.name: at for at, reference in enumerate(self._references)}
+        votes = self._index.votes(described.descriptors)[[position[reference.name] for reference in wanted]]
         order = np.argsort(-votes, kind="stable")
-        return [int(index) for index in candidates[order[votes[order] >= fewest]]]
+        return [wanted[at] for at in order[votes[order] >= fewest]]
 
 
 def _index_of(*features: TargetFeatures) -> DescriptorIndex:
@@ -182,13 +171,13 @@ def _without_indices(result: ReferenceResult) -> ReferenceResult:
     return replace(result, matches=replace(result.matches, matches=matches))
 
 
-def _uncovered(view: View, features: Features) -> Features:
-    """Return the features without those on targets that were found."""
-    if not view.covered:
+def _uncovered(features: Features, covered: Sequence[Points], shape: tuple[int, int]) -> Features:
+    """Return the features without those on references that were found."""
+    if not covered:
         return features
-    height, width = view.pictures.shape
+    height, width = shape
     mask = np.zeros((height // _MASK_STEP + 1, width // _MASK_STEP + 1), np.uint8)
-    for outline in view.covered:
+    for outline in covered:
         corners = np.clip(np.rint(outline / _MASK_STEP), -30000, 30000).astype(np.int32)
         cv2.fillConvexPoly(mask, corners, 1)
     x, y = (features.described.keypoints.xy // _MASK_STEP).astype(np.intp).T

@@ -12,7 +12,7 @@ from imgu_ros.detect.features import Features
 from imgu_ros.errors import EstimationError
 from imgu_ros.pose.planar_pose import Located, require_plausible
 from imgu_ros.reference.features import TargetFeatures
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.result import ReferenceMatches
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.guided import guided_homography
@@ -38,7 +38,7 @@ class Guided:
 
 
 def guided(
-    target: Target,
+    target: Reference,
     known: TargetFeatures,
     features: Features,
     found: Guided,
@@ -66,7 +66,7 @@ def guided(
             error=p.error,
             refine=None if p.refine == "none" else p.refine,
         )
-        require_plausible(target, more.homography)
+        require_plausible(target.plane, more.homography)
     except EstimationError:
         return found
     inliers = more.homography.inliers

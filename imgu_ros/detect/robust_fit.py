@@ -12,10 +12,11 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.guided_matching import Guided
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
+from imgu_ros.frame import Frame
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.pose.planar_pose import Located, bending, posed, require_plausible
+from imgu_ros.pose.planar_pose import Located, bending, require_plausible
 from imgu_ros.reasons import why_not_found
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
 from imgu_ros.stage_clock import StageClock
@@ -42,8 +43,8 @@ _DETECTION_REACH_PX = 8.0
 _CONFIRMING_SHARE = 0.8
 
 
-#: What `posed` does, or a part of it.
-Finish = Callable[[ReferenceResult, Target, Located, Camera | None, Parameters, str], ReferenceResult]
+#: Completes a result by what the place of a reference tells.
+Finish = Callable[[ReferenceResult, Located], ReferenceResult]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,27 +53,25 @@ class Sight:
 
     Attributes
     ----------
-    camera : intrinsics; None when there are none that can be used
-    pictures : the frame's grey one, at every resolution; None: nothing is refined, nor confirmed by looking
-    unit_px : raw px in a pixel of the picture that keypoints were sought in
-    camera_reason : why there is no camera; empty: there is no camera_info
+    frame : gives the camera
+    pictures : its grey image, at every resolution; None: nothing is refined, nor verified by comparing images
+    unit_px : raw px in a pixel of the image in which keypoints were detected
     """
 
-    camera: Camera | None
+    frame: Frame
     pictures: GreyPyramid | None
     unit_px: float
-    camera_reason: str = ""
 
 
 def located(
     target: ReferenceResult,
-    known: Target,
+    known: Reference,
     sight: Sight,
     parameters: Parameters,
     rng: np.random.Generator,
     clock: StageClock,
     guide: Callable[[Guided], Guided] | None = None,
-    finish: Finish = posed,
+    finish: Finish | None = None,
 ) -> ReferenceResult:
     """Find where a target is by its tentative matches; what fails becomes a status with its reason.
 
@@ -85,12 +84,12 @@ def located(
     rng : draws minimal samples
     clock : takes the time of the stages
     guide : looks for more matches once the target was found; None: those given are all
-    finish : completes the result by what its place tells
+    finish : completes the result; None: by the reference's pose
     """
     matches = target.matches
     if matches is None:
         return target
-    lens = bending(sight.camera)
+    lens = bending(sight.frame.camera)
     try:
         with clock.measures(Stage.HOMOGRAPHY):
             agreed = _agreed(matches, sight, lens, parameters, rng)
@@ -115,14 +114,16 @@ def located(
             # Where patches do not agree (blur, little texture), keypoints still say where the target is.
             place = place or replace(_fitted(agreed, matches, parameters), halvings=_NOT_SHARP)
             # Where little of a target is in view, only the refined homography is good enough to tell.
-            require_plausible(known, place.homography)
+            require_plausible(known.plane, place.homography)
             if not is_confirmed and sight.pictures is not None:
                 share = require_confirmed(sight.pictures, known, place.homography.H, lens)
     except EstimationError as error:
         return _missing(target, error, len(matches.template_xy), parameters)
     detected = replace(target, status=Status.DETECTED, matches=matches, confirmed_share=share, most_inliers=0)
     with clock.measures(Stage.POSE):
-        return finish(detected, known, place, sight.camera, parameters, sight.camera_reason)
+        if finish is not None:
+            return finish(detected, place)
+        return known.pose(detected, place, sight.frame, parameters)
 
 
 def _missing(target: ReferenceResult, error: EstimationError, matches: int, parameters: Parameters) -> ReferenceResult:
@@ -137,9 +138,9 @@ def _missing(target: ReferenceResult, error: EstimationError, matches: int, para
     )
 
 
-def draws(parameters: Parameters, stamp_ns: int, index: int) -> np.random.Generator:
+def draws(parameters: Parameters, stamp_ns: int, reference: Reference) -> np.random.Generator:
     """Return the stream of draws of one frame and target: a skipped frame changes no other frame's draws."""
-    return np.random.default_rng((parameters.seed, stamp_ns % 2**64, index))
+    return np.random.default_rng((parameters.seed, stamp_ns % 2**64, reference.number))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +182,7 @@ def _agreed(
     return _Agreed(model.denormalised(consensus.hypothesis), inliers, ideal)
 
 
-def _start(target: Target, agreed: _Agreed, matches: ReferenceMatches) -> Matrix3:
+def _start(target: Reference, agreed: _Agreed, matches: ReferenceMatches) -> Matrix3:
     """Return where to align from: the consensus, or its nearest affine map when that cannot be a view of the target.
 
     Where a small part of a target is in view, its perspective is too uncertain to be continued to all of it.
@@ -207,7 +208,7 @@ def _fitted(agreed: _Agreed, matches: ReferenceMatches, parameters: Parameters) 
 
 
 def _aligned(
-    target: Target, pictures: GreyPyramid, H: Matrix3, lens: Camera | None, parameters: Parameters
+    target: Reference, pictures: GreyPyramid, H: Matrix3, lens: Camera | None, parameters: Parameters
 ) -> Alignment | None:
     """Return the refined location; None when the patches do not agree."""
     try:
@@ -220,7 +221,7 @@ def _aligned(
             parameters.homography.min_inliers,
             _DETECTION_REACH_PX,
         )
-        require_plausible(target, aligned.homography)
+        require_plausible(target.plane, aligned.homography)
     except EstimationError:
         return None
     return aligned

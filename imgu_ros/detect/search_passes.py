@@ -18,7 +18,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.pose.planar_pose import bending
 from imgu_ros.reference.features import TargetFeatures
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
 from imgu_ros.stage_clock import StageClock
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -51,14 +51,13 @@ class Searched:
     features: Features
     look: SearchPass = SearchPass.FIRST
 
-    def features_of(self, target: Target) -> TargetFeatures:
+    def features_of(self, target: PlanarReference) -> TargetFeatures:
         """Return what this frame's descriptors are to be matched to."""
         return _FEATURES[self.look](target)
 
 
 def search(
-    target: Target,
-    index: int,
+    target: PlanarReference,
     searched: Searched,
     parameters: Parameters,
     rng: np.random.Generator,
@@ -68,16 +67,16 @@ def search(
     with clock.measures(Stage.MATCH):
         known = searched.features_of(target)
         matches = tentative_matches(known, searched.features.described, parameters)
-    missing = ReferenceResult(target.name, index, Status.LOST, matches=matches)
+    missing = ReferenceResult(target.name, target.number, Status.LOST, matches=matches)
     frame = searched.frame
-    sight = Sight(frame.camera, searched.pictures, searched.features.unit_px, frame.camera_reason)
+    sight = Sight(frame, searched.pictures, searched.features.unit_px)
     guide = None
     if parameters.matching.guided:
-        guide = partial(guided, target, known, searched.features, lens=bending(sight.camera), parameters=parameters)
+        guide = partial(guided, target, known, searched.features, lens=bending(frame.camera), parameters=parameters)
     return located(missing, target, sight, parameters, rng, clock, guide)
 
 
-_FEATURES: dict[SearchPass, Callable[[Target], TargetFeatures]] = {
+_FEATURES: dict[SearchPass, Callable[[PlanarReference], TargetFeatures]] = {
     SearchPass.FIRST: lambda target: target.features,
     SearchPass.CLOSE: lambda target: target.close.features(),
     SearchPass.THOROUGH: lambda target: target.thorough.features(),

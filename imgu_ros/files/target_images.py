@@ -16,7 +16,7 @@ import numpy as np
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters, TargetsParameters
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.image_files.images import read_image_file
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
 

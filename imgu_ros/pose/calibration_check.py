@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,7 +53,7 @@ _HELD = 0.6
 class _View:
     """A view of a target: its outline (4, 2), the target's size in it, px, and what it says of the calibration."""
 
-    index: int
+    name: str
     outline: Points
     size_px: float
     test: CalibrationTest
@@ -68,7 +68,7 @@ class CalibrationCheck:
     def __init__(self) -> None:
         self._camera: Camera | None = None
         self._views: deque[_View] = deque(maxlen=_VIEWS)
-        self._outlines: dict[int, tuple[Floats, Floats]] = {}
+        self._outlines: dict[str, tuple[Floats, Floats]] = {}
         self._new = self._since = 0
         self._evidence: CalibrationEvidence | None = None
         self._extra: Floats | None = None
@@ -84,39 +84,39 @@ class CalibrationCheck:
         self._camera = None
         self._forget()
 
-    def wants(self, camera: Camera, index: int, outline: Points) -> bool:
+    def wants(self, camera: Camera, name: str, outline: Points) -> bool:
         """Return whether a target's place says something of the calibration, or the calibration of its pose.
 
         Parameters
         ----------
         camera : that took the frame
-        index, outline : of the target, and where its corners are seen, (4, 2) raw px
+        name, outline : of the reference, and where its corners are seen, (4, 2) raw px
         """
-        return self._extra is not None or not self._knows(camera) or (self._is_due() and self._is_new(index, outline))
+        return self._extra is not None or not self._knows(camera) or (self._is_due() and self._is_new(name, outline))
 
-    def examined(self, camera: Camera | None, targets: Sequence[ReferenceResult]) -> tuple[ReferenceResult, ...]:
-        """Take what one frame says, and return its targets with what is known now in the covariances of their poses.
+    def examined(self, camera: Camera | None, found: Mapping[str, ReferenceResult]) -> dict[str, ReferenceResult]:
+        """Take what one frame says, and return its results with what is known now in the covariances of their poses.
 
         Parameters
         ----------
         camera : that took the frame; None: not calibrated
-        targets : of the frame
+        found : results of the frame, by name
         """
         if camera is None:
-            return tuple(targets)
+            return dict(found)
         if not self._knows(camera):
             self._forget()
         self._camera = camera
-        if all(target.pose is None for target in targets):
-            return tuple(targets)
+        if all(target.pose is None for target in found.values()):
+            return dict(found)
         before, due = self._new, self._is_due()
-        for target in targets:
+        for target in found.values():
             if due and target.calibration is not None and target.outline is not None and target.is_sharp:
-                self._add(target.number, target.outline, target.calibration)
+                self._add(target.name, target.outline, target.calibration)
         self._since = 0 if self._new > before else self._since + 1
         if self._new > before and self._new >= _NEW_SHARE * len(self._views):
             self._weigh(camera)
-        return tuple(self._with_misfit(target) for target in targets)
+        return {name: self._with_misfit(result) for name, result in found.items()}
 
     def _knows(self, camera: Camera) -> bool:
         return self._camera is camera or (self._camera is not None and _same(self._camera, camera))
@@ -130,20 +130,20 @@ class CalibrationCheck:
     def _is_due(self) -> bool:
         return len(self._views) < _MANY or self._since >= _PAUSE
 
-    def _is_new(self, index: int, outline: Points) -> bool:
+    def _is_new(self, name: str, outline: Points) -> bool:
         """Whether a target is seen as in none of the views."""
-        if index not in self._outlines:
-            seen = [view for view in self._views if view.index == index]
+        if name not in self._outlines:
+            seen = [view for view in self._views if view.name == name]
             outlines = np.array([view.outline for view in seen]).reshape(-1, 4, 2)
-            self._outlines[index] = outlines, np.array([_MOVED * view.size_px for view in seen])
-        outlines, moved = self._outlines[index]
+            self._outlines[name] = outlines, np.array([_MOVED * view.size_px for view in seen])
+        outlines, moved = self._outlines[name]
         return bool((np.abs(outlines - outline).reshape(-1, 8).max(axis=1, initial=0) > moved).all())
 
-    def _add(self, index: int, outline: Points, test: CalibrationTest) -> None:
-        if self._is_new(index, outline):
+    def _add(self, name: str, outline: Points, test: CalibrationTest) -> None:
+        if self._is_new(name, outline):
             x, y = outline.T
             area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
-            self._views.append(_View(index, outline, math.sqrt(area), test))
+            self._views.append(_View(name, outline, math.sqrt(area), test))
             # The oldest view, which has left, may be another target's.
             self._outlines.clear()
             self._new += 1

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a target's homography to what is said of it: plausibility, outline, pose."""
+"""The pose of a plane from its homography, and whether the homography can be one of its views."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import cv2
 import numpy as np
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.parameters import PoseParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError
+from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
+from imgu_ros.pose.plane import Plane
 from imgu_ros.reasons import NO_CAMERA_INFO, NO_SIZE, no_pose, why_ambiguous
-from imgu_ros.reference.planar import Target
 from imgu_ros.result import PoseStatus, ReferenceResult
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography
@@ -49,53 +49,69 @@ def bending(camera: Camera | None) -> Camera | None:
     return camera if camera is not None and camera.is_distorted else None
 
 
-def posed(
+def with_homography(found: ReferenceResult, plane: Plane, located: Located, camera: Camera | None) -> ReferenceResult:
+    """Return a result with its homography and outline.
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a part of the reference would lie behind the camera.
+    """
+    outline = seen_outline(plane, located.homography.H)
+    lens = bending(camera)
+    if lens is not None:
+        outline = lens.raw_pixels(outline)
+    return replace(found, homography=located.homography, outline=outline, is_sharp=located.halvings == 0)
+
+
+def planar_pose(
     found: ReferenceResult,
-    target: Target,
+    plane: Plane,
     located: Located,
-    camera: Camera | None,
-    parameters: Parameters,
-    camera_reason: str = "",
+    frame: Frame,
+    parameters: PoseParameters,
     check: CalibrationCheck | None = None,
 ) -> ReferenceResult:
-    """Complete a result by homography, outline and, where it can be, pose.
+    """Return a result with homography, outline and, where it can be estimated, the pose of a plane.
 
     Parameters
     ----------
     found : what is known so far
-    target, located : which target, and where it is
-    camera : intrinsics; None when there are none that can be used
-    parameters : all parameters
-    camera_reason : why there are none; empty: there is no camera_info
-    check : is asked whether it wants what the pose leaves unexplained; None: it does
+    plane, located : the reference's, and where it is
+    frame : gives the camera
+    parameters : when a pose is ambiguous
+    check : is asked whether it needs the residuals of the pose; None: they are computed
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If a part of the reference would lie behind the camera.
     """
-    homography = located.homography
-    outline = seen_outline(target, homography.H)
-    lens = bending(camera)
-    if lens is not None:
-        outline = lens.raw_pixels(outline)
-    seen = partial(replace, found, homography=homography, outline=outline, is_sharp=located.halvings == 0)
+    camera = frame.camera
+    found = with_homography(found, plane, located, camera)
     if camera is None:
-        return seen(pose_status=PoseStatus.UNCALIBRATED, reason=camera_reason or NO_CAMERA_INFO)
-    if target.width_m == 0:
-        return seen(pose_status=PoseStatus.NO_SIZE, reason=NO_SIZE)
+        reason = frame.camera_reason or NO_CAMERA_INFO
+        return replace(found, pose_status=PoseStatus.UNCALIBRATED, reason=reason)
+    if plane.width_m == 0:
+        return replace(found, pose_status=PoseStatus.NO_SIZE, reason=NO_SIZE)
     try:
-        if located.condensed is not None:
-            asked = check is None or camera.covariance is not None or check.wants(camera, found.number, outline)
+        if located.condensed is not None and found.outline is not None:
+            asked = check is None or camera.covariance is not None or check.wants(camera, found.name, found.outline)
             poses = poses_of_homography(
                 located.condensed,
                 camera.K,
-                target.metres_from_template,
+                plane.metres_from_template,
                 camera if asked else None,
                 located.template_xy,
             )
         else:
-            poses = planar_poses(target.to_metres(located.template_xy), located.image_xy, camera)
+            poses = planar_poses(plane.to_metres(located.template_xy), located.image_xy, camera)
     except EstimationError as error:
-        return seen(reason=no_pose(error))
-    limit = parameters.pose.ambiguity_ratio
+        return replace(found, reason=no_pose(error))
+    limit = parameters.ambiguity_ratio
     is_ambiguous = poses.ambiguity > limit
-    return seen(
+    return replace(
+        found,
         pose_status=PoseStatus.AMBIGUOUS if is_ambiguous else PoseStatus.METRIC,
         reason=why_ambiguous(poses.ambiguity, limit) if is_ambiguous else "",
         pose=None if is_ambiguous else poses.solutions[0],
@@ -105,23 +121,22 @@ def posed(
     )
 
 
-def seen_outline(target: Target, H: Matrix3) -> Points:
-    """Return where a target's outer corners are seen, (4, 2) ideal px, in the order of `outline_template`.
+def seen_outline(plane: Plane, H: Matrix3) -> Points:
+    """Return where a reference's outer corners are seen, (4, 2) ideal px, in the order of `Plane.outline`.
 
     Raises
     ------
     DegenerateConfiguration
         If one would lie behind the camera.
     """
-    x, y, w = H @ target.outline_homogeneous
+    x, y, w = H @ plane.outline_homogeneous
     if not w.min() > 0:
         raise DegenerateConfiguration("H: a part of the target would lie behind the camera")
     return np.column_stack((x / w, y / w))
 
 
-def require_plausible(target: Target, estimate: HomographyEstimate) -> None:
-    """Raise `DegenerateConfiguration` when a homography cannot be a view of the whole target."""
-    outline = seen_outline(target, estimate.H)
-    area = abs(cv2.contourArea(outline.astype(np.float32)))
+def require_plausible(plane: Plane, estimate: HomographyEstimate) -> None:
+    """Raise `DegenerateConfiguration` when a homography cannot be a view of the whole reference."""
+    area = abs(cv2.contourArea(seen_outline(plane, estimate.H).astype(np.float32)))
     if area < _MIN_AREA_PX:
         raise DegenerateConfiguration(f"H: the target would cover {area:.1f} px; need {_MIN_AREA_PX:g}")

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.result import Result
 
 #: A print this wide, seen from as far as `_FAR_M`, has its width in centimetres or millimetres far more often than it
@@ -58,20 +58,20 @@ class SizeChecks:
 
     Parameters
     ----------
-    targets : the known ones
+    references : the known ones
     """
 
-    def __init__(self, targets: Sequence[Target]) -> None:
-        self._targets = tuple(targets)
+    def __init__(self, references: Iterable[Reference] = ()) -> None:
+        self._widths_m = {reference.name: reference.width_m for reference in references}
         self.warnings: dict[str, str] = {}
 
     def add(self, result: Result) -> list[str]:
         """Look at a frame's poses; return what is new."""
         new = []
         for found in result:
-            if found.pose is None or found.name in self.warnings or found.number >= len(self._targets):
+            if found.pose is None or found.name in self.warnings or found.name not in self._widths_m:
                 continue
-            warning = size_warning(found.name, self._targets[found.number].width_m, float(np.linalg.norm(found.pose.t)))
+            warning = size_warning(found.name, self._widths_m[found.name], float(np.linalg.norm(found.pose.t)))
             if warning:
                 self.warnings[found.name] = warning
                 new.append(warning)

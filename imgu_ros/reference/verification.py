@@ -17,7 +17,8 @@ import numpy as np
 
 from imgu_ros.errors import NotConfirmed
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.reference.planar import AlignmentLevel, Target
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import AlignmentLevel
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 
@@ -56,7 +57,7 @@ FINE = Comparison(cells=32, samples=5, alike=0.75, fewest=24, needed=0.325)
 COARSE = Comparison(cells=16, samples=8, alike=0.6, fewest=12, needed=0.45)
 
 
-def require_confirmed(pictures: GreyPyramid, target: Target, H: Matrix3, camera: Camera | None) -> float:
+def require_confirmed(pictures: GreyPyramid, target: Reference, H: Matrix3, camera: Camera | None) -> float:
     """Return the share of a target in view that looks as it should where an estimate says it is.
 
     Parameters
@@ -81,7 +82,7 @@ def require_confirmed(pictures: GreyPyramid, target: Target, H: Matrix3, camera:
 
 
 def confirmed_share(
-    pictures: GreyPyramid, target: Target, H: Matrix3, camera: Camera | None, comparison: Comparison = FINE
+    pictures: GreyPyramid, target: Reference, H: Matrix3, camera: Camera | None, comparison: Comparison = FINE
 ) -> float:
     """Return the share of a target's cells in view that the frame shows, 0 to 1; 0 where too few are in view.
 

@@ -21,7 +21,7 @@ from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.encodings import Encoding, encoding_named
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.output_folder import OutputFiles, check_output_folder, output_folder
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import Truth, write_truth

@@ -18,8 +18,9 @@ from imgu_ros.errors import BagError, ParameterError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.localizer import Localizer, rejected
 from imgu_ros.messages.results import needs_keypoints
-from imgu_ros.reference.planar import Target, prepare_targets
+from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.size_checks import SizeChecks
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.replay.frame_source import FrameSource, ReadFrame, read_ahead, size_of
 from imgu_ros.replay.output_folder import check_output_folder, output_folder
 from imgu_ros.replay.recorded_topics import checked_record
@@ -77,7 +78,7 @@ def replay(
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one image file, -p targets.images:=FILE")
-        targets = prepare_targets(
+        targets = prepare_references(
             load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits),
             parameters,
         )
@@ -155,7 +156,7 @@ class _ReplayRun:
     """
 
     total: int
-    targets: tuple[Target, ...]
+    targets: tuple[Reference, ...]
     parameters: Parameters
     record: tuple[str, ...]
     warnings: _UniqueWarnings

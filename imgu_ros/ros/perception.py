@@ -10,7 +10,7 @@ from imgu_ros.errors import ImguError
 from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.localizer_builder import Built
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.remarks import Remarks
 from imgu_ros.result import Result
 from imgu_ros.ros.cause import Cause
@@ -101,7 +101,7 @@ class PerceptionNode(ManagedNode[ImageInput]):
         """Look for these targets from now on, and have a publisher for each of their topics."""
         with self._input.standstill.excused(), self._worker.between_frames():
             self._worker.use(built)
-            self._fit_outputs([target.name for target in built.targets])
+            self._fit_outputs([target.name for target in built.references])
 
     def _fit_outputs(self, names: Sequence[str]) -> None:
         parameters = OutputParameters.of(self._server.parameters)

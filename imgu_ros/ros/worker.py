@@ -19,8 +19,9 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import rejected
 from imgu_ros.localizer_builder import Built, build
 from imgu_ros.messages.header import Header, decode_header
-from imgu_ros.reference.planar import Target, TargetImage
+from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.size_checks import SizeChecks
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import Result
 from imgu_ros.ros.current_frame import CurrentFrame
 from imgu_ros.ros.frame_queue import FrameQueue
@@ -123,10 +124,10 @@ class Worker:
         return self._last
 
     @property
-    def targets(self) -> tuple[Target, ...]:
+    def targets(self) -> tuple[Reference, ...]:
         """What is looked for."""
         built = self._built
-        return () if built is None else built.targets
+        return () if built is None else built.references
 
     @property
     def parameters(self) -> Parameters | None:
@@ -171,7 +172,7 @@ class Worker:
             if self._built is not None:
                 built.chain.continue_from(self._built.chain)
             self._built = built
-            self.sizes = SizeChecks(built.targets)
+            self.sizes = SizeChecks(built.references)
             self._last = None
             self.sought.clear()
 

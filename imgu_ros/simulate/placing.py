@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import image_from_template, rotation_about
 from imgu_ros.simulate.path import Motion, camera_from_scene_at
 from imgu_ros.simulate.scene import Scene, size_of, template_matrix

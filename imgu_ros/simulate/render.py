@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.boxes import boxes, strips
 from imgu_ros.simulate.capture import View
 from imgu_ros.simulate.coverage import rectangle_coverage

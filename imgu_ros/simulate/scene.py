@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import rotation_about, target_from_template
 from imgu_ros.types import Floats, Matrix3, as_image
 from imgu_ros.vision.camera.rigid import RigidTransform

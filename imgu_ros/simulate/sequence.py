@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.arguments import shown_value
 from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.capture import Capture, check_capture, views_of
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.path import Motion, camera_from_scene_at

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from imgu_ros.frame import Frame
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.capture import Capture, views_of
 from imgu_ros.simulate.conditions import Condition, Show
 from imgu_ros.simulate.disturbances import (

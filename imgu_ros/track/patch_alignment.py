@@ -9,7 +9,7 @@ import numpy as np
 
 from imgu_ros.errors import NoConsensus
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.track.patch_selection import Bank, Reduction, fitting_bank, in_view, mapped, sheet_of
 from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -125,7 +125,7 @@ class AlignmentOptions:
 
 
 def follow_patches(
-    pictures: GreyPyramid, halvings: int, target: Target, H: Matrix3, camera: Camera | None, effort: AlignmentOptions
+    pictures: GreyPyramid, halvings: int, target: Reference, H: Matrix3, camera: Camera | None, effort: AlignmentOptions
 ) -> Followed:
     """Find a target's patches in a frame's picture.
 

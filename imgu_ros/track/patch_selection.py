@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import NoConsensus
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.types import Floats, Indices, Matrix3, Points
 from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -81,7 +81,7 @@ class Reduction:
         return self.to_picture(xy @ square.T + K[:2, 2]), square @ by_xy @ inverse
 
 
-def fitting_bank(target: Target, linear: bool, H: Matrix3, scale: float, window_px: int) -> Bank:
+def fitting_bank(target: Reference, linear: bool, H: Matrix3, scale: float, window_px: int) -> Bank:
     """Return the patches of the octave whose pixels come out nearest in size to the picture's.
 
     Parameters

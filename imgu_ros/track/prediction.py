@@ -12,7 +12,7 @@ from itertools import zip_longest
 import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 from imgu_ros.vision.projective.transform import inverse3
@@ -64,7 +64,7 @@ class Track:
         """The latest sighting."""
         return self.sightings[0]
 
-    def continued(self, target: Target, H: Matrix3, stamp_ns: int) -> Track:
+    def continued(self, target: Reference, H: Matrix3, stamp_ns: int) -> Track:
         """Return the track with one more sighting."""
         sightings = (Observation(H, stamp_ns), *self.sightings)
         if len(self.sightings) == 1:
@@ -79,7 +79,7 @@ class Track:
         kept = zip_longest(surprises, self.surprises_px[: len(surprises)], fillvalue=0.0)
         return Track(sightings, tuple(max(new, _MEMORY * old) for new, old in kept))
 
-    def expected(self, target: Target, stamp_ns: int) -> Expected:
+    def expected(self, target: Reference, stamp_ns: int) -> Expected:
         """Return where the target is expected at a time."""
         ways = self._led_on(target, stamp_ns).ways
         if not self.surprises_px:
@@ -89,7 +89,7 @@ class Track:
         best = wrong.index(min(wrong))
         return Expected(ways[best], wrong[best])
 
-    def _led_on(self, target: Target, stamp_ns: int) -> _MotionHypotheses:
+    def _led_on(self, target: Reference, stamp_ns: int) -> _MotionHypotheses:
         """Return what the sightings lead to expect."""
         if self._ways is None or self._ways.stamp_ns != stamp_ns:
             later, before = self._quotient(0, stamp_ns), self._quotient(1, self.last.stamp_ns)
@@ -149,7 +149,7 @@ def _led_on_evenly(sightings: Sequence[Observation]) -> list[Matrix3]:
     return ways
 
 
-def _led_on_unevenly(sightings: Sequence[Observation], stamp_ns: int, target: Target) -> list[Matrix3]:
+def _led_on_unevenly(sightings: Sequence[Observation], stamp_ns: int, target: Reference) -> list[Matrix3]:
     """Return the same when intervals differ.
 
     A homography's logarithm is to its motion what a velocity is to a distance.
@@ -173,7 +173,7 @@ def _led_on_unevenly(sightings: Sequence[Observation], stamp_ns: int, target: Ta
     return [from_unit @ exponential(velocity * later) @ on for velocity in velocities]
 
 
-def _to_unit(H: Matrix3, target: Target) -> Matrix3:
+def _to_unit(H: Matrix3, target: Reference) -> Matrix3:
     """Return the similarity of the picture that centres the target's corners and makes them a unit distant."""
     corners = _corners(H[None], target)[0]
     x, y = corners.mean(axis=1)
@@ -201,7 +201,7 @@ class _MotionHypotheses:
     ways: tuple[Matrix3, ...]
 
 
-def _facing(ways: Sequence[Matrix3], target: Target) -> tuple[Matrix3, ...]:
+def _facing(ways: Sequence[Matrix3], target: Reference) -> tuple[Matrix3, ...]:
     """Return the first one, and of the others as many as show the target's front, at unit norm."""
     facing = [ways[0]]
     for H in ways[1:]:
@@ -212,7 +212,7 @@ def _facing(ways: Sequence[Matrix3], target: Target) -> tuple[Matrix3, ...]:
     return tuple(facing)
 
 
-def _corners(homographies: Floats, target: Target) -> Floats:
+def _corners(homographies: Floats, target: Reference) -> Floats:
     """Return the outline's corners as homographies (N, 3, 3) map them, (N, 2, 4)."""
     mapped = homographies @ target.outline_homogeneous
     return np.asarray(mapped[:, :2] / mapped[:, 2:])

@@ -12,7 +12,7 @@ from imgu_ros.config.parameters import RefinementParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.pose.planar_pose import seen_outline
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.track.patch_alignment import AlignmentOptions, Followed, follow_patches
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -77,7 +77,7 @@ class Alignment:
 
 def refine_by_alignment(
     pictures: GreyPyramid,
-    target: Target,
+    target: Reference,
     H: Matrix3,
     camera: Camera | None,
     parameters: RefinementParameters,
@@ -132,7 +132,7 @@ def refine_by_alignment(
 
 def _reduced_instead(
     pictures: GreyPyramid,
-    target: Target,
+    target: Reference,
     found: Followed,
     camera: Camera | None,
     parameters: RefinementParameters,
@@ -171,14 +171,14 @@ def _ladder(first: int) -> list[int]:
     return [*range(first, 0, -_STRIDE), 0]
 
 
-def _first_halvings(pictures: GreyPyramid, target: Target, H: Matrix3, reach_px: float) -> int:
+def _first_halvings(pictures: GreyPyramid, target: Reference, H: Matrix3, reach_px: float) -> int:
     """Return how often to halve the frame so that patches bridge `reach_px`, and the target is not too small."""
     wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
     if wanted == 0:
         return 0
     height, width = pictures.shape
     try:
-        extent = np.ptp(np.clip(seen_outline(target, H), 0, (width, height)), axis=0)
+        extent = np.ptp(np.clip(seen_outline(target.plane, H), 0, (width, height)), axis=0)
     except DegenerateConfiguration:
         extent = np.array((width, height))
     side = math.sqrt(float(extent[0] * extent[1]))

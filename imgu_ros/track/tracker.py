@@ -9,7 +9,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.pose.planar_pose import Located, bending, require_plausible
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
 from imgu_ros.track.prediction import Track
 from imgu_ros.track.refinement import Alignment, refine_by_alignment
@@ -33,7 +33,7 @@ _LONGEST_SHIFT = 0.1
 
 
 def follow(
-    target: Target, track: Track, pictures: GreyPyramid, stamp_ns: int, camera: Camera | None, parameters: Parameters
+    target: Reference, track: Track, pictures: GreyPyramid, stamp_ns: int, camera: Camera | None, parameters: Parameters
 ) -> Alignment:
     """Find a target where its track leads.
 
@@ -65,7 +65,7 @@ def follow(
                 start.reach_px,
             )
             _require_held(alignment)
-            require_plausible(target, alignment.homography)
+            require_plausible(target.plane, alignment.homography)
             if alignment.halvings:
                 # Coarse patches agree by chance sooner: the whole target must look as it should.
                 require_confirmed(pictures, target, alignment.homography.H, lens)
@@ -101,7 +101,7 @@ class _Start:
     shift_px: float = 0.0
 
 
-def _starts(track: Track, target: Target, stamp_ns: int, width: int) -> list[_Start]:
+def _starts(track: Track, target: Reference, stamp_ns: int, width: int) -> list[_Start]:
     """Return where to look: near where the motion leads, then farther around, then where the target was last."""
     expected = track.expected(target, stamp_ns)
     shift = max(_LONGEST_SHIFT * width, _UNKNOWN_REACH_PX)

@@ -12,7 +12,7 @@ from imgu_ros.bench.lineup import METHODS, make_method
 from imgu_ros.bench.measuring import Show, measure
 from imgu_ros.bench.recipes import Recipe
 from imgu_ros.errors import ParameterError, ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.conditions import PLAIN, condition_named
 from imgu_ros.simulate.sequence import Simulation, simulate_sequence
 from imgu_ros.simulate.trials import Trial, known_targets, trial_batches, trial_frames

@@ -13,7 +13,7 @@ from imgu_ros.bags.messages import make_message
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
 from imgu_ros.image_files.images import write_image
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture

@@ -24,7 +24,7 @@ from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.camera_reading import read_camera
 from imgu_ros.messages.header import Header
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
 from imgu_ros.simulate.sequence import Simulation

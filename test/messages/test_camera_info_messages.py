@@ -18,7 +18,8 @@ from imgu_ros.localizer import Localizer
 from imgu_ros.messages.frame import decode_frame
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import PoseStatus
 from imgu_ros.simulate.texture import procedural_texture
 
@@ -44,7 +45,7 @@ def texture() -> np.ndarray:
 @pytest.fixture(scope="module")
 def chain(texture: np.ndarray) -> Localizer:
     parameters = Parameters(raw=RawParameters(transfer="srgb"))
-    return Localizer(parameters, prepare_targets([TargetImage("poster", texture, WIDTH_M)], parameters))
+    return Localizer(parameters, prepare_references([TargetImage("poster", texture, WIDTH_M)], parameters))
 
 
 def test_there_are_two_hundred() -> None:

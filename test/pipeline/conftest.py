@@ -8,7 +8,9 @@ from itertools import islice
 import pytest
 
 from imgu_ros.config.parameters import Parameters
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
 
 WIDTH, HEIGHT = 640, 480
@@ -21,9 +23,9 @@ def target_images() -> tuple[TargetImage, ...]:
 
 
 @pytest.fixture(scope="session")
-def targets(target_images: tuple[TargetImage, ...]) -> tuple[Target, ...]:
+def targets(target_images: tuple[TargetImage, ...]) -> tuple[Reference, ...]:
     """The targets, prepared with default parameters."""
-    return prepare_targets(target_images, Parameters())
+    return prepare_references(target_images, Parameters())
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,9 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.calibration_check import CalibrationCheck
-from imgu_ros.reference.planar import TargetImage, prepare_targets
-from imgu_ros.result import CalibrationFinding, PoseStatus, ReferenceResult, Status
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
+from imgu_ros.result import CalibrationFinding, PoseStatus, ReferenceResult, Status, by_name
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import arrange_scene
@@ -51,6 +52,12 @@ def pose_at(index: int, tilt_deg: float) -> RigidTransform:
     return RigidTransform(R, np.array([0.1 * math.sin(0.07 * index), 0.05 * math.cos(0.05 * index), 0.9]))
 
 
+def examined(
+    check: CalibrationCheck, camera: Camera | None, results: Sequence[ReferenceResult]
+) -> tuple[ReferenceResult, ...]:
+    return tuple(check.examined(camera, by_name(results)).values())
+
+
 def seen(
     truth: Camera, given: Camera, pose: RigidTransform, rng: np.random.Generator, index: int = 0
 ) -> ReferenceResult:
@@ -82,7 +89,7 @@ def watched(
     rng, findings, errors = np.random.default_rng(seed), [], []
     for index, tilt in enumerate(tilts):
         pose = pose_at(index, tilt)
-        target = check.examined(given, [seen(truth, given, pose, rng)])[0]
+        target = examined(check, given, [seen(truth, given, pose, rng)])[0]
         assert check.finding is not None
         findings.append(check.finding)
         errors.append(squared(target, pose))
@@ -145,7 +152,7 @@ def test_a_camera_that_stands_still_says_everything_once() -> None:
     check, rng = CalibrationCheck(), np.random.default_rng(5)
     one = seen(PINHOLE, longer(PINHOLE, 0.01), pose_at(0, 30), rng)
     for _ in range(1000):
-        check.examined(longer(PINHOLE, 0.01), [one])
+        examined(check, longer(PINHOLE, 0.01), [one])
     assert check.finding is not None
     assert check.finding.views == 1
 
@@ -167,7 +174,7 @@ def test_targets_of_one_frame_share_the_calibrations_error() -> None:
     check, rng, wrong = CalibrationCheck(), np.random.default_rng(6), longer(PINHOLE, 0.02)
     for index in range(12):
         targets = [seen(PINHOLE, wrong, pose_at(index, tilt), rng, i) for i, tilt in enumerate((20, 45))]
-        targets = list(check.examined(wrong, targets))
+        targets = list(examined(check, wrong, targets))
     shared = [target.pose.shared for target in targets if target.pose is not None]
     assert all(factor is not None and factor.shape == (6, 9) for factor in shared)
     assert check.finding is not None
@@ -177,8 +184,8 @@ def test_targets_of_one_frame_share_the_calibrations_error() -> None:
 def test_without_a_camera_or_a_pose_nothing_is_said() -> None:
     check = CalibrationCheck()
     lost = ReferenceResult("a", 0, Status.LOST)
-    assert check.examined(None, [lost]) == (lost,)
-    assert check.examined(PINHOLE, [lost]) == (lost,)
+    assert examined(check, None, [lost]) == (lost,)
+    assert examined(check, PINHOLE, [lost]) == (lost,)
     assert check.finding is None
 
 
@@ -205,7 +212,7 @@ def test_the_chain_says_it_of_frames(
     frames, target = rendered
     given = longer(make_camera([[600, 0, 330], [0, 600, 235], [0, 0, 1]], (), "plumb_bob", 640, 480), error)
     parameters = Parameters()
-    chain = Localizer(parameters, prepare_targets([target], parameters))
+    chain = Localizer(parameters, prepare_references([target], parameters))
     results = [
         chain.process(
             Frame(RawImage(pixels, PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)), index * 33_333_333, "c", given)
@@ -233,7 +240,7 @@ def test_all_poses_of_a_frame_share_as_many_errors() -> None:
     for index in range(12):
         first = seen(PINHOLE, wrong, pose_at(index, 30), rng)
         second = replace(seen(PINHOLE, wrong, pose_at(index + 40, 20), rng, 1), calibration=None)
-        targets = check.examined(wrong, [first, second])
+        targets = examined(check, wrong, [first, second])
         poses = [target.pose for target in targets]
         shared = [0 if pose is None or pose.shared is None else pose.shared.shape[1] for pose in poses]
         assert shared[0] == shared[1]
@@ -245,7 +252,7 @@ def test_all_poses_of_a_frame_share_as_many_errors() -> None:
 def test_a_view_that_cannot_be_weighed_costs_neither_the_frame_nor_the_others() -> None:
     check, rng, wrong = CalibrationCheck(), np.random.default_rng(4), longer(PINHOLE, 0.03)
     for index in range(6):
-        check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
+        examined(check, wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
     before = check.finding
     assert before is not None and before.warning
     strange = seen(PINHOLE, wrong, pose_at(50, 30), rng)
@@ -253,17 +260,17 @@ def test_a_view_that_cannot_be_weighed_costs_neither_the_frame_nor_the_others() 
     huge = replace(strange.calibration, residual=strange.calibration.residual + 1e12)
     for index in (50, 70):
         target = replace(seen(PINHOLE, wrong, pose_at(index, 30), rng), calibration=huge)
-        assert check.examined(wrong, [target])[0].pose is not None
+        assert examined(check, wrong, [target])[0].pose is not None
     assert check.finding is before
     for index in (9, 12):
-        check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
+        examined(check, wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
     assert check.finding is not before and check.finding.warning == before.warning
 
 
 def test_a_new_calibration_is_not_blamed_while_nothing_is_in_view() -> None:
     check, rng, wrong = CalibrationCheck(), np.random.default_rng(5), longer(PINHOLE, 0.03)
     for index in range(6):
-        check.examined(wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
+        examined(check, wrong, [seen(PINHOLE, wrong, pose_at(index, 30), rng)])
     assert check.finding is not None and check.finding.warning
-    check.examined(PINHOLE, [ReferenceResult("target_0", 0, Status.LOST)])
+    examined(check, PINHOLE, [ReferenceResult("target_0", 0, Status.LOST)])
     assert check.finding is None

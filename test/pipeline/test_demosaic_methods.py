@@ -11,7 +11,7 @@ import pytest
 from imgu_ros.config.parameters import declaration
 from imgu_ros.config.values import parameters_from
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.formation.demosaic import demosaic
@@ -20,7 +20,7 @@ from imgu_ros.vision.formation.demosaic import demosaic
 @pytest.mark.parametrize("deep", [False, True])
 @pytest.mark.parametrize("method", declaration("demosaic.method").choices)
 def test_every_method_finds_every_frame(
-    method: str, deep: bool, one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...]
+    method: str, deep: bool, one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...]
 ) -> None:
     chain = Localizer(parameters_from({"demosaic.method": method, "raw.significant_bits": 16}), targets[:1])
     for simulated in one_target_frames[:3]:

@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 import imgu_ros.detect.detector as seeking
+from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.detect.features import find_features
+from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.search_passes import SearchPass
 from imgu_ros.image.development import develop
+from imgu_ros.image.frame_development import develop_frame
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.features import extractor_options, thorough_parameters
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Status
 from imgu_ros.simulate.conditions import condition_named
 from imgu_ros.simulate.sequence import SimulatedFrame, default_targets
@@ -41,7 +45,7 @@ def test_two_of_ten(
     many: tuple[TargetImage, ...], two_target_frames: tuple[SimulatedFrame, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parameters = parameters_from(ALONE)
-    chain = Localizer(parameters, prepare_targets(many, parameters))
+    chain = Localizer(parameters, prepare_references(many, parameters))
     looked_for = []
     search = seeking.search
     monkeypatch.setattr(
@@ -71,7 +75,7 @@ def test_a_second_look_finds_what_a_first_look_does_not(condition: str) -> None:
     counts = []
     for thorough in (True, False):
         parameters = parameters_from({**ALONE, "search.thorough": thorough})
-        chain = Localizer(parameters, prepare_targets(known_targets(trial), parameters))
+        chain = Localizer(parameters, prepare_references(known_targets(trial), parameters))
         chain.prepare()
         counts.append(sum(chain.process(f.frame).first.status.found for f in trial_frames(trial)))
     assert counts[0] == 3 >= counts[1]
@@ -84,12 +88,10 @@ def test_a_target_that_is_near_needs_no_thorough_search(reduced: int, monkeypatc
     known = known_targets(trial)[0]
     picture = cv2.resize(known.pixels, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA)
     parameters = parameters_from(ALONE)
-    chain = Localizer(parameters, prepare_targets([TargetImage(known.name, picture, known.width_m)], parameters))
+    chain = Localizer(parameters, prepare_references([TargetImage(known.name, picture, known.width_m)], parameters))
     looks = []
     search = seeking.search
-    monkeypatch.setattr(
-        seeking, "search", lambda t, i, what, *rest: looks.append(what.look) or search(t, i, what, *rest)
-    )
+    monkeypatch.setattr(seeking, "search", lambda t, what, *rest: looks.append(what.look) or search(t, what, *rest))
     shift = reduced / 2 - 0.5
     full_from_reduced = np.array([[reduced, 0, shift], [0, reduced, shift], [0, 0, 1]])
     for simulated in trial_frames(trial):
@@ -114,10 +116,13 @@ def test_what_was_found_is_not_looked_at_again(targets: tuple, two_target_frames
     parameters = parameters_from(ALONE)
     result = Localizer(parameters, targets[:1]).process(simulated.frame, with_keypoints=True)
     outline = result.first.outline
-    pictures = GreyPyramid(develop(simulated.frame.image, parameters.raw, parameters.demosaic))
-    detector = seeking.ReferenceDetector(targets, parameters)
-    view = seeking.View(simulated.frame, pictures, detector.features(pictures, StageClock()), [outline])
-    again = list(detector.seek(view, [0, 1], StageClock(), although_tracked=False))
+    extractor = make_extractor(extractor_options(parameters))
+    context = FrameContext(
+        simulated.frame,
+        develop_frame(simulated.frame, DevelopmentParameters.of(parameters)),
+        lambda image, clock: find_features(image, parameters, extractor, clock),
+    )
+    again = list(seeking.ReferenceDetector(targets, parameters).detect(context, targets, [outline], thorough=False))
     assert {r.number: r.status.found for r in again} == {0: False, 1: True}
 
 
@@ -148,7 +153,7 @@ def test_default_targets_are_known_apart() -> None:
     """The index names the target whose own descriptors are asked for."""
     parameters = parameters_from({})
     images = [TargetImage(t.name, t.pixels[::3, ::3].copy(), t.width_m) for t in default_targets(5, 40)]
-    targets = prepare_targets(images, parameters)
+    targets = prepare_references(images, parameters)
     index = seeking.build_index([t.features.described.descriptors for t in targets])
     for number, target in enumerate(targets):
         assert index.votes(target.features.described.descriptors).argmax() == number

@@ -8,7 +8,7 @@ import pytest
 from imgu_ros.config.parameters import declaration
 from imgu_ros.config.values import parameters_from
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import prepare_targets
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.truth import corner_error
 
 CHOICES = [{"keypoints.detector": name} for name in declaration("keypoints.detector").choices]
@@ -21,7 +21,7 @@ CHOICES = [{"keypoints.detector": name} for name in declaration("keypoints.detec
 )
 def test_the_target_is_found_with_every_detector(choice, target_images, one_target_frames):
     parameters = parameters_from({**choice, "tracking.enabled": False, "keypoints.max_count": 800})
-    targets = prepare_targets(target_images[:1], parameters)
+    targets = prepare_references(target_images[:1], parameters)
     chain = Localizer(parameters, targets)
     for simulated in one_target_frames[:1]:
         result = chain.process(simulated.frame, with_keypoints=True)
@@ -35,6 +35,6 @@ def test_the_arc_reaches_the_detector(target_images):
     found = []
     for arc in (9, 12):
         values = {"keypoints.detector": "fast", "keypoints.fast_arc": arc, "keypoints.max_count": 50}
-        (target,) = prepare_targets(target_images[:1], parameters_from(values))
+        (target,) = prepare_references(target_images[:1], parameters_from(values))
         found.append({tuple(xy) for xy in target.features.described.keypoints.xy.tolist()})
     assert found[0] != found[1]

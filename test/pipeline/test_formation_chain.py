@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ShapeError
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Result, Status
 from imgu_ros.simulate.capture import Capture
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
@@ -32,7 +34,7 @@ def color_frames(target_images: tuple[TargetImage, ...]) -> Frames:
     return tuple(islice(simulate_sequence(simulation, target_images[:1]), 3))
 
 
-def results_of(frames: Frames, targets: tuple[Target, ...], values: dict[str, object]) -> list[Result]:
+def results_of(frames: Frames, targets: tuple[Reference, ...], values: dict[str, object]) -> list[Result]:
     chain = Localizer(parameters_from(values), targets[:1])
     return [chain.process(f.frame) for f in frames]
 
@@ -64,7 +66,7 @@ def largest_error(frames: Frames, results: list[Result]) -> float:
     ],
 )
 def test_every_band_mode_finds_the_target(
-    color_frames: Frames, targets: tuple[Target, ...], values: dict[str, object], limit: float
+    color_frames: Frames, targets: tuple[Reference, ...], values: dict[str, object], limit: float
 ) -> None:
     # Red, green, blue, and two bands in which the scene is dark where it is bright in green.
     cubes: list[NDArray[np.generic]] = []
@@ -76,7 +78,7 @@ def test_every_band_mode_finds_the_target(
     assert largest_error(frames, results_of(frames, targets, values)) < limit
 
 
-def test_spectral_angle_sees_through_uneven_light(color_frames: Frames, targets: tuple[Target, ...]) -> None:
+def test_spectral_angle_sees_through_uneven_light(color_frames: Frames, targets: tuple[Reference, ...]) -> None:
     # Green and its complement under a light that changes by a factor of 30 from stripe to stripe.
     light = np.where(np.random.default_rng(0).random((1, 120)) < 0.5, 0.5, 15.0).repeat(4, axis=1)
     cubes: list[NDArray[np.generic]] = []
@@ -101,7 +103,7 @@ def test_spectral_angle_sees_through_uneven_light(color_frames: Frames, targets:
     ],
 )
 def test_frames_that_do_not_fit_the_band_parameters_are_rejected(
-    color_frames: Frames, targets: tuple[Target, ...], values: dict[str, object], reason: str
+    color_frames: Frames, targets: tuple[Reference, ...], values: dict[str, object], reason: str
 ) -> None:
     cubes: list[NDArray[np.generic]] = [f.frame.image.pixels for f in color_frames]
     frames = with_pixels(color_frames, cubes, PixelLayout(ColorModel.BANDS))
@@ -110,7 +112,7 @@ def test_frames_that_do_not_fit_the_band_parameters_are_rejected(
         assert result.first.reason.startswith(f"the frame cannot be used ({reason}")
 
 
-def test_thermal_frames_need_no_levels(target_images: tuple[TargetImage, ...], targets: tuple[Target, ...]) -> None:
+def test_thermal_frames_need_no_levels(target_images: tuple[TargetImage, ...], targets: tuple[Reference, ...]) -> None:
     # mono16 in centikelvin: 3 K of contrast upon 300 K, and pixels that are stuck.
     simulation = replace(SEQUENCE, layout=PixelLayout(ColorModel.MONO))
     frames = tuple(islice(simulate_sequence(simulation, target_images[:1]), 3))
@@ -133,7 +135,7 @@ def test_thermal_frames_need_no_levels(target_images: tuple[TargetImage, ...], t
     ids=["motion", "defocus", "dark"],
 )
 def test_truth_of_blurred_frames_is_that_of_mid_exposure(
-    target_images: tuple[TargetImage, ...], targets: tuple[Target, ...], capture: Capture, limit: float
+    target_images: tuple[TargetImage, ...], targets: tuple[Reference, ...], capture: Capture, limit: float
 ) -> None:
     simulation = replace(SEQUENCE, sensor=Sensor(14), capture=capture)
     frames = tuple(islice(simulate_sequence(simulation, target_images[:1]), 4))
@@ -149,7 +151,7 @@ def test_a_picture_in_one_colour_alone_is_found_by_its_weights() -> None:
     simulation = replace(SEQUENCE, layout=PixelLayout(ColorModel.RGB))
     frames = tuple(islice(simulate_sequence(simulation, [target]), 3))
     blue = {"raw.grey_weights": [0.0, 0.0, 1.0]}
-    targets = prepare_targets([target], parameters_from(blue))
+    targets = prepare_references([target], parameters_from(blue))
     assert largest_error(frames, results_of(frames, targets, blue)) < 0.4
     with pytest.raises(ShapeError, match="texture"):
-        prepare_targets([target], parameters_from({}))
+        prepare_references([target], parameters_from({}))

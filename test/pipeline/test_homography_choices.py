@@ -8,7 +8,7 @@ import pytest
 
 from imgu_ros.config.values import parameters_from
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.result import Status
 from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.vision.projective.transform import transform
@@ -31,7 +31,7 @@ from imgu_ros.vision.projective.transform import transform
     ids=lambda choice: " ".join(choice.values()),
 )
 def test_found_to_a_few_pixels(
-    choice: dict[str, str], one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...]
+    choice: dict[str, str], one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...]
 ) -> None:
     options = {f"homography.{name}": value for name, value in choice.items()}
     chain = Localizer(parameters_from({"tracking.enabled": False, "refinement.enabled": False, **options}), targets[:1])

@@ -14,7 +14,9 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import PoseStatus, Result, Stage, Status
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_camera, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
@@ -24,7 +26,7 @@ from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 Frames = tuple[SimulatedFrame, ...]
-Targets = tuple[Target, ...]
+Targets = tuple[Reference, ...]
 
 
 def errors(frames: Frames, results: list[Result], targets: Targets) -> list[float]:
@@ -175,7 +177,7 @@ def test_uncalibrated_and_unsized(
     result = Localizer(parameters_from({}), targets[:1]).process(replace(frame, camera=None)).first
     assert result.status is Status.DETECTED
     assert (result.pose, result.pose_status) == (None, PoseStatus.UNCALIBRATED)
-    unsized = prepare_targets([replace(target_images[0], width_m=0.0)], parameters_from({}))
+    unsized = prepare_references([replace(target_images[0], width_m=0.0)], parameters_from({}))
     result = Localizer(parameters_from({}), unsized).process(frame).first
     assert (result.pose, result.pose_status) == (None, PoseStatus.NO_SIZE)
 
@@ -186,7 +188,7 @@ def test_pose_scales_with_the_width(
     frame = one_target_frames[0].frame
     small = Localizer(parameters_from({}), targets[:1]).process(frame).first.pose
     images = [replace(target_images[0], width_m=2 * target_images[0].width_m)]
-    large = Localizer(parameters_from({}), prepare_targets(images, parameters_from({}))).process(frame).first.pose
+    large = Localizer(parameters_from({}), prepare_references(images, parameters_from({}))).process(frame).first.pose
     assert_allclose(large.t, 2 * small.t, rtol=1e-6)
     assert_allclose(large.R, small.R, atol=1e-6)
 
@@ -227,7 +229,7 @@ def test_missing_targets_are_looked_for_now_and_then(one_target_frames: Frames, 
 def test_a_target_that_turns_by_18_degrees_a_frame_is_tracked() -> None:
     """Too far to be followed from one sighting; two detections tell how it moves."""
     images = default_targets(1)
-    chain = Localizer(Parameters(), prepare_targets(images, Parameters()))
+    chain = Localizer(Parameters(), prepare_references(images, Parameters()))
     frames = list(islice(simulate_sequence(Simulation(width=640, height=480, frames=20), images), 5))
     statuses = [chain.process(simulated.frame).first.status for simulated in frames]
     assert statuses == [Status.DETECTED] * 2 + [Status.TRACKED] * 3
@@ -273,7 +275,7 @@ def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
     median = {}
     for transfer in ("auto", "linear", "srgb"):
         parameters = parameters_from({"tracking.enabled": False, "raw.transfer": transfer})
-        targets = prepare_targets(images, parameters)
+        targets = prepare_references(images, parameters)
         chain = Localizer(parameters, targets)
         results = [chain.process(simulated.frame) for simulated in frames]
         median[transfer] = np.median(errors(tuple(frames), results, targets))

@@ -13,7 +13,7 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.map_pose import camera_in_map
-from imgu_ros.reference.planar import prepare_targets
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.vision.camera.intrinsics import make_camera
@@ -118,7 +118,7 @@ def test_the_chain_on_simulated_frames_of_two_targets() -> None:
     parameters = parameters_from(
         {"targets.images": ["a.png", "b.png"], "targets.widths_m": [0.3, 0.3], "tracking.enabled": False}
     )
-    chain = Localizer(parameters, prepare_targets(targets, parameters))
+    chain = Localizer(parameters, prepare_references(targets, parameters))
     alone, together, squared = [], [], []
     for simulated in simulate_sequence(Simulation(width=640, height=480, frames=10, seed=3), targets):
         result = chain.process(simulated.frame)

@@ -18,7 +18,8 @@ from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.planar_pose import Located
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Status
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, simulate_sequence
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -59,17 +60,17 @@ def test_every_choice_finds_the_target(
     values: dict[str, object], target_images: tuple[TargetImage, ...], upright_frame: SimulatedFrame
 ) -> None:
     parameters = parameters_from(OFF | values)
-    chain = Localizer(parameters, prepare_targets(target_images[:1], parameters))
+    chain = Localizer(parameters, prepare_references(target_images[:1], parameters))
     result = chain.process(upright_frame.frame).first
     assert result.status is Status.DETECTED and result.homography is not None
-    outline = chain.targets[0].outline_template
+    outline = chain.references[0].outline_template
     assert corner_error(result.homography.H, upright_frame.truths[0].H, outline) < 2.0
 
 
 def test_ssd_finds_a_target_of_unchanged_brightness(target_images: tuple[TargetImage, ...]) -> None:
     """The picture itself as the frame: sums of squared differences know no other brightness."""
     parameters = parameters_from(OFF | {"descriptor.kind": "patch", "matching.metric": "ssd"})
-    targets = prepare_targets(target_images[:1], parameters)
+    targets = prepare_references(target_images[:1], parameters)
     frame = Frame(RawImage(targets[0].grey, PixelLayout(ColorModel.MONO)), 0, "camera", None)
     result = Localizer(parameters, targets).process(frame).first
     assert result.homography is not None
@@ -80,14 +81,14 @@ def test_senseless_parameters_are_refused_at_start(target_images: tuple[TargetIm
     """Also when nobody made them by `parameters_from`, which refuses them itself."""
     parameters = replace(Parameters(), matching=MatchingParameters(metric="cosine"))
     with pytest.raises(ParameterError, match=r"^matching.metric: 'cosine', and .+; need auto or hamming$"):
-        prepare_targets(target_images[:1], parameters)
+        prepare_references(target_images[:1], parameters)
 
 
 def test_guided_matching_brings_more_inliers(
     target_images: tuple[TargetImage, ...], one_target_frames: tuple[SimulatedFrame, ...]
 ) -> None:
     plain, more = (
-        Localizer(p, prepare_targets(target_images[:1], p))
+        Localizer(p, prepare_references(target_images[:1], p))
         for p in (parameters_from(OFF | {"matching.guided": value}) for value in (False, True))
     )
     for simulated in one_target_frames[::4]:
@@ -95,7 +96,7 @@ def test_guided_matching_brings_more_inliers(
         assert a.matches is not None and b.matches is not None and b.homography is not None
         assert b.matches.inliers.sum() > 1.3 * a.matches.inliers.sum()
         assert len(b.matches.inliers) == len(b.matches.matches) == len(b.matches.template_xy)
-        assert corner_error(b.homography.H, simulated.truths[0].H, plain.targets[0].outline_template) < 2.0
+        assert corner_error(b.homography.H, simulated.truths[0].H, plain.references[0].outline_template) < 2.0
         keypoints = more.process(simulated.frame, with_keypoints=True).keypoints
         assert keypoints is not None
         np.testing.assert_array_equal(keypoints.xy[b.matches.matches.index_dst], b.matches.image_xy)
@@ -105,7 +106,7 @@ def test_guided_matching_that_brings_no_more_changes_nothing(
     target_images: tuple[TargetImage, ...], upright_frame: SimulatedFrame
 ) -> None:
     parameters = parameters_from(OFF)
-    target = prepare_targets(target_images[:1], parameters)[0]
+    target = prepare_references(target_images[:1], parameters)[0]
     chain = Localizer(parameters, [target])
     result = chain.process(upright_frame.frame, with_keypoints=True)
     found = result.first

@@ -20,8 +20,9 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.localizer_builder import Built, build
 from imgu_ros.reference import features as target_features
-from imgu_ros.reference import planar as targets
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference import templates as targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Result, Status
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
@@ -160,9 +161,9 @@ def test_a_change_makes_anew_what_depends_on_it_and_keeps_the_track(
     first = went_on[0].first.status
     assert first is (Status.DETECTED if name == "tracking.enabled" else Status.TRACKED)
 
-    fresh = Localizer(parameters, targets.prepare_targets(images, parameters))
+    fresh = Localizer(parameters, prepare_references(images, parameters))
     truth = [fresh.process(frame) for frame in frames[4:6]]
-    size = changed.targets[0].size
+    size = changed.references[0].size
     for mine, other in zip(went_on, truth, strict=True):
         # Alignment ends within a tenth of a pixel of wherever it begins; without it keypoints alone tell of the first.
         alone = name == "refinement.enabled"

@@ -13,7 +13,8 @@ from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.reference.planar import AlignmentPictures, AlignmentPyramids, Target, TargetImage
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import AlignmentPictures, AlignmentPyramids, TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track import patch_selection as patch_view
@@ -38,7 +39,7 @@ def shifted(H: np.ndarray, x: float, y: float) -> np.ndarray:
 
 
 @pytest.fixture
-def target(targets: tuple[Target, ...]) -> Target:
+def target(targets: tuple[Reference, ...]) -> Reference:
     return targets[0]
 
 
@@ -48,7 +49,7 @@ def frame(one_target_frames: tuple[SimulatedFrame, ...]) -> SimulatedFrame:
 
 
 @pytest.mark.parametrize("halvings", [0, 1, 2])
-def test_found_at_every_resolution(frame: SimulatedFrame, target: Target, halvings: int) -> None:
+def test_found_at_every_resolution(frame: SimulatedFrame, target: Reference, halvings: int) -> None:
     H = frame.truths[0].H
     start = shifted(H, 1.5 * 2**halvings, -(2**halvings))
     found = follow_patches(pictures_of(frame), halvings, target, start, None, EFFORT)
@@ -56,7 +57,7 @@ def test_found_at_every_resolution(frame: SimulatedFrame, target: Target, halvin
     assert found.agreeing > 0.9 * found.sought == 0.9 * len(found.patches)
 
 
-def test_correspondences_are_those_of_the_truth(frame: SimulatedFrame, target: Target) -> None:
+def test_correspondences_are_those_of_the_truth(frame: SimulatedFrame, target: Reference) -> None:
     H = frame.truths[0].H
     found = follow_patches(pictures_of(frame), 0, target, shifted(H, 1.0, 1.0), None, EFFORT)
     chosen = found.motion.agreeing
@@ -73,7 +74,7 @@ def test_correspondences_are_those_of_the_truth(frame: SimulatedFrame, target: T
 
 @pytest.mark.parametrize("model", [None, DistortionModel.PLUMB_BOB, DistortionModel.EQUIDISTANT])
 def test_squares_of_the_mosaic_show_what_the_picture_shows(
-    target: Target, target_images: tuple, model: DistortionModel | None, monkeypatch: pytest.MonkeyPatch
+    target: Reference, target_images: tuple, model: DistortionModel | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lens = None if model is None else default_camera(1280, 720, model, TYPICAL_LENSES[model])
     simulation = Simulation(1280, 720, frames=1, seed=3, camera=lens)
@@ -92,7 +93,7 @@ def test_squares_of_the_mosaic_show_what_the_picture_shows(
     assert of_squares.sought == of_picture.sought
 
 
-def test_a_target_partly_out_of_view(frame: SimulatedFrame, target: Target) -> None:
+def test_a_target_partly_out_of_view(frame: SimulatedFrame, target: Reference) -> None:
     """Of what is left of it in view, patches are found, all of them in the picture."""
     H, pixels = frame.truths[0].H, frame.frame.image.pixels
     left, top = np.rint(transform(H, target.outline_template).mean(axis=0) / 2).astype(int) * 2
@@ -106,7 +107,7 @@ def test_a_target_partly_out_of_view(frame: SimulatedFrame, target: Target) -> N
         assert found.agreeing > 0.9 * found.sought
 
 
-def test_fewer_and_more_patches(frame: SimulatedFrame, target: Target) -> None:
+def test_fewer_and_more_patches(frame: SimulatedFrame, target: Reference) -> None:
     H = frame.truths[0].H
     for most in (12, 60, 121, 200):
         found = follow_patches(pictures_of(frame), 0, target, shifted(H, 0.8, 0.5), None, replace(EFFORT, most=most))
@@ -114,7 +115,7 @@ def test_fewer_and_more_patches(frame: SimulatedFrame, target: Target) -> None:
         assert corner_error(found.H, H, target.size, SIZE) < 0.6 / np.sqrt(most / 12)
 
 
-def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Target) -> None:
+def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Reference) -> None:
     H, pictures = frame.truths[0].H, pictures_of(frame)
     for away in (shifted(H, 2000, 0), shifted(H, 0, -1e6), -H):
         with pytest.raises(NoConsensus, match="0 in view"):

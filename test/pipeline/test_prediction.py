@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from imgu_ros.reference.planar import Target
+from imgu_ros.reference.reference import Reference
 from imgu_ros.track.prediction import Observation, Track
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.projective.homography import normalised_homography
@@ -26,7 +26,7 @@ H2 = normalised_homography(MOTION @ H1)
 
 
 @pytest.fixture(scope="module")
-def target(targets: tuple[Target, ...]) -> Target:
+def target(targets: tuple[Reference, ...]) -> Reference:
     return targets[0]
 
 
@@ -38,15 +38,15 @@ def track_of(*sightings: Observation, surprises_px: Sequence[float] = ()) -> Tra
     return Track(sightings, surprises_px)
 
 
-def predicted(track: Track, target: Target, stamp_ns: int) -> Matrix3:
+def predicted(track: Track, target: Reference, stamp_ns: int) -> Matrix3:
     return track.expected(target, stamp_ns).H
 
 
-def on_corners(H: Matrix3, target: Target) -> Points:
+def on_corners(H: Matrix3, target: Reference) -> Points:
     return transform(H, target.outline_template)
 
 
-def test_a_steady_motion_goes_on(target: Target) -> None:
+def test_a_steady_motion_goes_on(target: Reference) -> None:
     """Seen twice; the motion of the picture is told by H1 H0^-1."""
     track = track_of(Observation(H0, SECOND)).continued(target, H1, 2 * SECOND)
     assert track.expected(target, 3 * SECOND).wrong_px is None
@@ -57,7 +57,7 @@ def test_a_steady_motion_goes_on(target: Target) -> None:
 
 
 @pytest.mark.parametrize(("interval_s", "goes_on"), [(0.1, False), (0.5, True), (1.0, True), (3.0, True), (6, False)])
-def test_intervals_differ(target: Target, interval_s: float, goes_on: bool) -> None:
+def test_intervals_differ(target: Reference, interval_s: float, goes_on: bool) -> None:
     """After a frame that was left out, or that came sooner, the motion is that of the time; else none is known."""
     x, y = 12.0, -3.0
     track = track_of(Observation(shifted(H0, x, y), 2 * SECOND), Observation(H0, SECOND))
@@ -66,7 +66,7 @@ def test_intervals_differ(target: Target, interval_s: float, goes_on: bool) -> N
     assert_allclose(on_corners(led_to, target), on_corners(H0, target) + np.multiply((x, y), part), atol=1e-6)
 
 
-def test_part_of_a_turn(target: Target) -> None:
+def test_part_of_a_turn(target: Reference) -> None:
     a = np.radians(20)
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     half = np.array([[np.cos(a / 2), -np.sin(a / 2), 0], [np.sin(a / 2), np.cos(a / 2), 0], [0, 0, 1]])
@@ -75,7 +75,7 @@ def test_part_of_a_turn(target: Target) -> None:
     assert_allclose(on_corners(predicted(track, target, 4 * SECOND), target), on_corners(half @ H, target), atol=1e-6)
 
 
-def test_the_way_that_served_best_is_followed(target: Target) -> None:
+def test_the_way_that_served_best_is_followed(target: Reference) -> None:
     """At rest, in steady motion and in one that grows, what comes next is told; after a while, for all of them."""
     paths: list[Callable[[int], float]] = [lambda i: 0.0, lambda i: 3.0 * i, lambda i: 0.5 * i * i]
     for path in paths:
@@ -87,7 +87,7 @@ def test_the_way_that_served_best_is_followed(target: Target) -> None:
             track = track.continued(target, shifted(H0, path(i), 0), (i + 1) * SECOND)
 
 
-def test_noise_is_not_taken_for_motion(target: Target) -> None:
+def test_noise_is_not_taken_for_motion(target: Reference) -> None:
     """Of a target at rest whose place is known to a few hundredths of a pixel, the next place is told as well."""
     rng = np.random.default_rng(3)
     track = track_of(Observation(H0, SECOND))
@@ -103,7 +103,7 @@ def falling(seconds: float) -> Matrix3:
     return shifted(H0, 4 * seconds, 3 * seconds**2)
 
 
-def test_a_changing_motion_whose_frames_are_left_out(target: Target) -> None:
+def test_a_changing_motion_whose_frames_are_left_out(target: Reference) -> None:
     """Of a path that is a parabola any frame is told, whichever were seen, and how wrong the straight one would be."""
     for seen in ((0, 1, 2, 5), (0, 2, 3, 4), (0, 3, 4, 6), (0, 1, 3, 4)):
         track = track_of(
@@ -114,7 +114,7 @@ def test_a_changing_motion_whose_frames_are_left_out(target: Target) -> None:
 
 
 @pytest.mark.parametrize("later", [1, 2, 3])
-def test_what_grows_with_the_time(target: Target, later: int) -> None:
+def test_what_grows_with_the_time(target: Reference, later: int) -> None:
     """The longer ahead, the more wrong: a straight path beside a parabola by as much as is said."""
     track = track_of(Observation(falling(1), 2 * SECOND), Observation(falling(0), SECOND)).continued(
         target, falling(2), 3 * SECOND
@@ -125,7 +125,7 @@ def test_what_grows_with_the_time(target: Target, later: int) -> None:
     assert expected.wrong_px == pytest.approx(away, rel=1e-5)
 
 
-def test_half_a_turn_has_no_part(target: Target) -> None:
+def test_half_a_turn_has_no_part(target: Reference) -> None:
     """Nothing is known of the way between two sightings on opposite sides: the target is sought where it was."""
     x, y = on_corners(H0, target).mean(axis=0)
     about = np.array([[1, 0, x], [0, 1, y], [0, 0, 1]])
@@ -134,7 +134,7 @@ def test_half_a_turn_has_no_part(target: Target) -> None:
     assert predicted(track, target, 4 * SECOND) is H
 
 
-def test_time_that_stands_still_or_runs_backwards(target: Target) -> None:
+def test_time_that_stands_still_or_runs_backwards(target: Reference) -> None:
     assert track_of(Observation(H1, SECOND), Observation(H0, SECOND)).expected(target, 2 * SECOND).H is H1
     assert track_of(Observation(H1, SECOND), Observation(H0, 2 * SECOND)).expected(target, 3 * SECOND).H is H1
     assert track_of(Observation(H1, 2 * SECOND), Observation(H0, SECOND)).expected(target, SECOND).H is H1
@@ -142,7 +142,7 @@ def test_time_that_stands_still_or_runs_backwards(target: Target) -> None:
 
 
 @given(x=st.floats(-50, 50), y=st.floats(-50, 50))
-def test_surprise_is_how_far_the_prediction_was_off(targets: tuple[Target, ...], x: float, y: float) -> None:
+def test_surprise_is_how_far_the_prediction_was_off(targets: tuple[Reference, ...], x: float, y: float) -> None:
     """Of the ways to predict it is that of the best one."""
     track = track_of(Observation(H1, 2 * SECOND), Observation(H0, SECOND))
     track = track.continued(targets[0], shifted(H2, x, y), 3 * SECOND)
@@ -153,7 +153,7 @@ def test_surprise_is_how_far_the_prediction_was_off(targets: tuple[Target, ...],
     assert track.expected(targets[0], 4 * SECOND).wrong_px == min(stays, goes_on)
 
 
-def test_a_motion_that_leads_behind_the_camera_is_not_followed(target: Target) -> None:
+def test_a_motion_that_leads_behind_the_camera_is_not_followed(target: Reference) -> None:
     """The plane tilts so fast that its vanishing line would cross the target."""
     tilting = normalised_homography(H0 + np.array([[0, 0, 0], [0, 0, 0], [-6e-4 * H0[2, 2], 0, 0]]))
     assert (np.column_stack((target.outline_template, np.ones(4))) @ tilting[2] > 0).all()

@@ -13,7 +13,8 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import DegenerateConfiguration, ParameterError
 from imgu_ros.image.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Stage, Status
 from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.simulate.truth import corner_error
@@ -95,7 +96,7 @@ def test_the_target_is_found_with_each_change(
     change: dict[str, object], target_images: tuple[TargetImage, ...], one_target_frames: Frames
 ) -> None:
     parameters = parameters_from({"tracking.enabled": False, **change})
-    targets = prepare_targets(target_images[:1], parameters)
+    targets = prepare_references(target_images[:1], parameters)
     chain = Localizer(parameters, targets)
     for simulated in one_target_frames[:8:7]:
         result = chain.process(simulated.frame)
@@ -110,7 +111,7 @@ def test_alignment_and_published_pictures_are_untouched(
     target_images: tuple[TargetImage, ...], one_target_frames: Frames
 ) -> None:
     parameters = parameters_from({"preprocess.threshold": "otsu"})
-    chain = Localizer(parameters, prepare_targets(target_images[:1], parameters))
+    chain = Localizer(parameters, prepare_references(target_images[:1], parameters))
     first, second = (chain.process(f.frame) for f in one_target_frames[:2])
     assert len(np.unique(first.developed.grey)) > 50
     assert second.first.status is Status.TRACKED and Stage.PYRAMID not in second.times_ns
@@ -122,7 +123,7 @@ def test_a_frame_without_two_values_is_rejected_with_the_reason(
     parameters = parameters_from({"preprocess.threshold": "otsu"})
     with pytest.raises(DegenerateConfiguration, match="one value"):
         preprocessed(np.full((4, 4), 7, np.uint8), parameters.preprocess)
-    chain = Localizer(parameters, prepare_targets(target_images[:1], parameters))
+    chain = Localizer(parameters, prepare_references(target_images[:1], parameters))
     flat = RawImage(np.full((480, 640), 7, np.uint8), PixelLayout(ColorModel.MONO))
     result = chain.process(replace(one_target_frames[0].frame, image=flat))
     assert result.first.status is Status.REJECTED and "one value" in result.reason

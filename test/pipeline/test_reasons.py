@@ -29,7 +29,8 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.messages.results import result_status_message
 from imgu_ros.reasons import NO_SIZE, NOT_DUE, NOT_IN_VIEW, UNLIKELY, why_not_found
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.report.overlay import _status_text
 from imgu_ros.result import Result
 from imgu_ros.shown_text import as_cell, shown
@@ -51,7 +52,9 @@ def grey(picture: Image) -> Image:
 def result_of(pixels: Image, camera: Camera | None = None, width_m: float = 0.5, **values: object) -> Result:
     parameters = parameters_from({name.replace("__", "."): value for name, value in values.items()})
     frame = Frame(RawImage(pixels, PixelLayout(ColorModel.MONO)), 0, "camera", camera)
-    return Localizer(parameters, prepare_targets([TargetImage("poster", POSTER, width_m)], parameters)).process(frame)
+    return Localizer(parameters, prepare_references([TargetImage("poster", POSTER, width_m)], parameters)).process(
+        frame
+    )
 
 
 def blank() -> Result:
@@ -170,7 +173,7 @@ def test_the_share_that_confirms() -> None:
 
 def test_of_a_tracked_target_the_patches_that_agree() -> None:
     parameters = parameters_from({})
-    chain = Localizer(parameters, prepare_targets([TargetImage("poster", POSTER, 0.5)], parameters))
+    chain = Localizer(parameters, prepare_references([TargetImage("poster", POSTER, 0.5)], parameters))
     covered = grey(POSTER)
     covered[:, :256] = 128
     shares = []
@@ -186,7 +189,7 @@ def test_of_a_tracked_target_the_patches_that_agree() -> None:
 def test_targets_that_are_not_looked_for() -> None:
     parameters = parameters_from({"tracking.search_every": 100})
     pictures = [POSTER, OTHER, *(procedural_texture(WIDTH, HEIGHT, seed=seed) for seed in range(20, 24))]
-    targets = prepare_targets([TargetImage(f"t{i}", picture, 0.5) for i, picture in enumerate(pictures)], parameters)
+    targets = prepare_references([TargetImage(f"t{i}", picture, 0.5) for i, picture in enumerate(pictures)], parameters)
     chain = Localizer(parameters, targets)
     said: set[str] = set()
     for stamp in range(3):

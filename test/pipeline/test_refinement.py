@@ -13,7 +13,8 @@ from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParame
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.reference.planar import Target, TargetImage
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track.refinement import Alignment, refine_by_alignment
@@ -60,13 +61,13 @@ def others(target_images: tuple[TargetImage, ...]) -> list[View]:
 
 
 @pytest.fixture
-def target(targets: tuple[Target, ...]) -> Target:
+def target(targets: tuple[Reference, ...]) -> Reference:
     return targets[0]
 
 
 def aligned(
     pixels: Image,
-    target: Target,
+    target: Reference,
     H: Matrix3,
     reach_px: float,
     lens: Camera | None = None,
@@ -78,23 +79,23 @@ def aligned(
     return refine_by_alignment(pictures, target, H, lens, parameters, min_points, reach_px)
 
 
-def with_corners_moved(H: Matrix3, target: Target, by: Points) -> Matrix3:
+def with_corners_moved(H: Matrix3, target: Reference, by: Points) -> Matrix3:
     outline = target.outline_template
     moved = (transform(H, outline) + by).astype(np.float32)
     return cv2.getPerspectiveTransform(outline.astype(np.float32), moved)
 
 
-def wrong(H: Matrix3, target: Target, px: float, seed: int = 0) -> Matrix3:
+def wrong(H: Matrix3, target: Reference, px: float, seed: int = 0) -> Matrix3:
     """Every corner so far off, each in a direction of its own."""
     angle = np.random.default_rng(seed).uniform(0, 2 * np.pi, 4)
     return with_corners_moved(H, target, px * np.column_stack((np.cos(angle), np.sin(angle))))
 
 
-def error_px(found: Alignment, view: View, target: Target) -> float:
+def error_px(found: Alignment, view: View, target: Reference) -> float:
     return corner_error(found.homography.H, view.H, target.size, SIZE, view.lens)
 
 
-def sigma_px(found: Alignment, target: Target) -> float:
+def sigma_px(found: Alignment, target: Reference) -> float:
     """The largest standard deviation of a corner that the covariance tells, by propagation."""
     H, outline = found.homography.H, target.outline_template
     rows = np.column_stack((outline, np.ones(4)))
@@ -107,14 +108,14 @@ def sigma_px(found: Alignment, target: Target) -> float:
     return float(max(out))
 
 
-def require_honest(found: Alignment, view: View, target: Target) -> None:
+def require_honest(found: Alignment, view: View, target: Reference) -> None:
     """Its error is none that its covariance would not allow."""
     assert error_px(found, view, target) < 5 * sigma_px(found, target) + 0.05
 
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("px", [0.0, 1.0, 5.0])
-def test_wrong_by_some_pixels(views: dict[str, list[View]], target: Target, lens: str, px: float) -> None:
+def test_wrong_by_some_pixels(views: dict[str, list[View]], target: Reference, lens: str, px: float) -> None:
     for seed, view in enumerate(views[lens]):
         found = aligned(view.pixels, target, wrong(view.H, target, px, seed), max(1.5 * px, 2.0), view.lens)
         assert error_px(found, view, target) < 0.1
@@ -127,7 +128,7 @@ def test_wrong_by_some_pixels(views: dict[str, list[View]], target: Target, lens
 
 
 @pytest.mark.parametrize("degrees", [-4.0, 4.0, 8.0, 20.0])
-def test_rolled(views: dict[str, list[View]], target: Target, degrees: float) -> None:
+def test_rolled(views: dict[str, list[View]], target: Reference, degrees: float) -> None:
     """A few degrees are bridged; of more, what is found is right."""
     a = np.radians(degrees)
     R = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
@@ -143,7 +144,7 @@ def test_rolled(views: dict[str, list[View]], target: Target, degrees: float) ->
             assert error_px(found, view, target) < 0.1
 
 
-def test_half_of_the_target_is_covered(views: dict[str, list[View]], others: list[View], target: Target) -> None:
+def test_half_of_the_target_is_covered(views: dict[str, list[View]], others: list[View], target: Reference) -> None:
     for view, other in zip(views["none"], others, strict=True):
         a, b, c, d = transform(view.H, target.outline_template)
         half = np.zeros(view.pixels.shape, np.uint8)
@@ -159,7 +160,7 @@ def test_half_of_the_target_is_covered(views: dict[str, list[View]], others: lis
 
 
 @pytest.mark.parametrize("gain", [0.5, 2.0])
-def test_exposure_halved_and_doubled(views: dict[str, list[View]], target: Target, gain: float) -> None:
+def test_exposure_halved_and_doubled(views: dict[str, list[View]], target: Reference, gain: float) -> None:
     for view in views["none"]:
         pixels = np.clip(gain * view.pixels.astype(np.float64), 0, 255).astype(np.uint8)
         found = aligned(pixels, target, wrong(view.H, target, 1.5), 3.0)
@@ -169,7 +170,7 @@ def test_exposure_halved_and_doubled(views: dict[str, list[View]], target: Targe
 
 @pytest.mark.parametrize("length", [6, 10, 16, 40])
 @pytest.mark.parametrize("upright", [False, True])
-def test_motion_blur(views: dict[str, list[View]], target: Target, length: int, upright: bool) -> None:
+def test_motion_blur(views: dict[str, list[View]], target: Reference, length: int, upright: bool) -> None:
     """Light blur costs some accuracy, which the covariance knows; of heavy blur nothing wrong is told."""
     kernel = np.full((1, length + 1), 1 / length)
     kernel[0, [0, -1]] /= 2
@@ -186,7 +187,7 @@ def test_motion_blur(views: dict[str, list[View]], target: Target, length: int, 
 
 
 def test_where_full_resolution_shows_nothing_a_reduced_picture_counts(
-    views: dict[str, list[View]], target: Target
+    views: dict[str, list[View]], target: Reference
 ) -> None:
     """Defocus takes the fine texture away; what is left is in the picture halved."""
     halvings = []
@@ -202,7 +203,7 @@ def test_where_full_resolution_shows_nothing_a_reduced_picture_counts(
     assert len(halvings) >= 3 and max(halvings) > 0
 
 
-def test_another_texture_is_refused(views: dict[str, list[View]], others: list[View], target: Target) -> None:
+def test_another_texture_is_refused(views: dict[str, list[View]], others: list[View], target: Reference) -> None:
     noise = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)
     for view, other in zip(views["none"], others, strict=True):
         for pixels in (other.pixels, noise, np.full_like(noise, 120), cv2.GaussianBlur(noise, (0, 0), 4)):
@@ -211,7 +212,7 @@ def test_another_texture_is_refused(views: dict[str, list[View]], others: list[V
                     aligned(pixels, target, view.H, reach)
 
 
-def test_what_is_asked_for_is_needed(views: dict[str, list[View]], target: Target) -> None:
+def test_what_is_asked_for_is_needed(views: dict[str, list[View]], target: Reference) -> None:
     view = views["none"][0]
     few = aligned(view.pixels, target, view.H, 2.0, parameters=RefinementParameters(max_points=40))
     assert 30 < len(few.template_xy) <= few.sought == 40
@@ -222,7 +223,7 @@ def test_what_is_asked_for_is_needed(views: dict[str, list[View]], target: Targe
 
 
 @pytest.mark.parametrize("shift", [700.0, -5000.0])
-def test_a_target_out_of_view_is_refused(views: dict[str, list[View]], target: Target, shift: float) -> None:
+def test_a_target_out_of_view_is_refused(views: dict[str, list[View]], target: Reference, shift: float) -> None:
     for lens in LENSES:
         view = views[lens][0]
         away = np.array([[1, 0, shift], [0, 1, 0], [0, 0, 1]]) @ view.H

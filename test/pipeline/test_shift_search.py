@@ -12,7 +12,8 @@ from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import NoConsensus
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.reference.planar import Target, TargetImage
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.track.shift_search import shifted_homography
 from imgu_ros.types import Image, Matrix3
@@ -39,16 +40,16 @@ def frames(target_images: tuple[TargetImage, ...]) -> dict[DistortionModel | Non
 
 
 @pytest.fixture(scope="module")
-def target(targets: tuple[Target, ...]) -> Target:
+def target(targets: tuple[Reference, ...]) -> Reference:
     return targets[0]
 
 
-def middle(H: Matrix3, target: Target) -> np.ndarray:
+def middle(H: Matrix3, target: Reference) -> np.ndarray:
     width, height = target.size
     return transform(H, [[(width - 1) / 2, (height - 1) / 2]])[0]
 
 
-def small_pixel_px(H: Matrix3, target: Target) -> float:
+def small_pixel_px(H: Matrix3, target: Reference) -> float:
     """The target's shorter side is compared at 30 px or so: what one of them is in the frame."""
     corners = transform(H, target.outline_template)
     return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()) / 30
@@ -59,7 +60,7 @@ def small_pixel_px(H: Matrix3, target: Target) -> float:
 @pytest.mark.parametrize("y", [-50.0, 0.0, 33.0])
 def test_a_shift_is_found_to_a_small_pixel(
     frames: dict[DistortionModel | None, SimulatedFrame],
-    target: Target,
+    target: Reference,
     model: DistortionModel | None,
     x: float,
     y: float,
@@ -76,7 +77,7 @@ def test_a_shift_is_found_to_a_small_pixel(
 
 @given(angle=st.floats(0, 2 * np.pi), length=st.floats(0, 1))
 def test_every_shift_within_reach(
-    frames: dict[DistortionModel | None, SimulatedFrame], target: Target, angle: float, length: float
+    frames: dict[DistortionModel | None, SimulatedFrame], target: Reference, angle: float, length: float
 ) -> None:
     truth = frames[None].truths[0].H
     x, y = 64 * length * np.array([np.cos(angle), np.sin(angle)])
@@ -86,7 +87,7 @@ def test_every_shift_within_reach(
 
 
 def test_it_is_the_same_whatever_the_light(
-    frames: dict[DistortionModel | None, SimulatedFrame], target: Target
+    frames: dict[DistortionModel | None, SimulatedFrame], target: Reference
 ) -> None:
     truth, pixels = frames[None].truths[0].H, frames[None].frame.image.pixels
     start = np.array([[1, 0, 30], [0, 1, -20], [0, 0, 1]]) @ truth
@@ -96,7 +97,7 @@ def test_it_is_the_same_whatever_the_light(
 
 
 def test_what_lies_out_of_reach_is_not_found(
-    frames: dict[DistortionModel | None, SimulatedFrame], target: Target
+    frames: dict[DistortionModel | None, SimulatedFrame], target: Reference
 ) -> None:
     truth, pixels = frames[None].truths[0].H, frames[None].frame.image.pixels
     start = np.array([[1, 0, 120], [0, 1, 0], [0, 0, 1]]) @ truth
@@ -105,7 +106,7 @@ def test_what_lies_out_of_reach_is_not_found(
 
 
 def test_other_pictures_are_refused(
-    frames: dict[DistortionModel | None, SimulatedFrame], targets: tuple[Target, ...]
+    frames: dict[DistortionModel | None, SimulatedFrame], targets: tuple[Reference, ...]
 ) -> None:
     truth, pixels = frames[None].truths[0].H, frames[None].frame.image.pixels
     noise = np.random.default_rng(2).integers(0, 256, pixels.shape, np.uint8)

@@ -7,20 +7,22 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 
 
-def test_metric_frame(targets: tuple[Target, ...]) -> None:
+def test_metric_frame(targets: tuple[Reference, ...]) -> None:
     """Origin at the centre, x right, y up; the width is measured from outer edge to outer edge."""
     target = targets[0]
     width, height = target.size
-    metres = target.to_metres(target.outline_template)
+    metres = target.plane.to_metres(target.outline_template)
     h = target.width_m * height / width
     w = target.width_m
     assert_allclose(metres, [[-w / 2, h / 2], [w / 2, h / 2], [w / 2, -h / 2], [-w / 2, -h / 2]], atol=1e-12)
 
 
-def test_described_at_every_scale(targets: tuple[Target, ...]) -> None:
+def test_described_at_every_scale(targets: tuple[Reference, ...]) -> None:
     octaves = np.unique(targets[0].features.described.keypoints.octave)
     assert len(octaves) >= 8
     assert len(targets[0].features.described.keypoints) == len(targets[0].features.described.descriptors)
@@ -39,4 +41,4 @@ def test_described_at_every_scale(targets: tuple[Target, ...]) -> None:
 )
 def test_unusable_pictures_are_refused(pixels: np.ndarray) -> None:
     with pytest.raises(ShapeError, match="target poster"):
-        prepare_targets([TargetImage("poster", pixels, 0.1)], Parameters())
+        prepare_references([TargetImage("poster", pixels, 0.1)], Parameters())

@@ -14,7 +14,8 @@ from imgu_ros.errors import EstimationError
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.conditions import condition_named
 from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
@@ -34,7 +35,7 @@ SECOND = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
-def target(targets: tuple[Target, ...]) -> Target:
+def target(targets: tuple[Reference, ...]) -> Reference:
     return targets[0]
 
 
@@ -48,7 +49,7 @@ def shifted(H: Matrix3, x: float, y: float) -> Matrix3:
     return normalised_homography(np.array([[1, 0, x], [0, 1, y], [0, 0, 1]]) @ H)
 
 
-def followed(frame: SimulatedFrame, target: Target, track: Track, pixels: Image | None = None) -> Alignment:
+def followed(frame: SimulatedFrame, target: Reference, track: Track, pixels: Image | None = None) -> Alignment:
     return follow(target, track, pictures_of(frame, pixels), frame.frame.stamp_ns, frame.frame.camera, Parameters())
 
 
@@ -56,7 +57,7 @@ def track_of(*sightings: Observation, surprises_px: Sequence[float] = ()) -> Tra
     return Track(sightings, surprises_px)
 
 
-def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], target: Target) -> None:
+def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], target: Reference) -> None:
     first = one_target_frames[0]
     track = track_of(Observation(first.truths[0].H, first.frame.stamp_ns))
     for frame in one_target_frames[1:]:
@@ -71,7 +72,7 @@ def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], t
 
 @pytest.mark.parametrize(("x", "y"), [(5, 0), (-12, 16), (20, 0), (-40, 30), (0, 60)])
 def test_a_jump_is_caught_up_with(
-    one_target_frames: tuple[SimulatedFrame, ...], target: Target, x: float, y: float
+    one_target_frames: tuple[SimulatedFrame, ...], target: Reference, x: float, y: float
 ) -> None:
     """Whether or not the motion before promised an exact prediction."""
     frame = one_target_frames[0]
@@ -85,7 +86,7 @@ def test_a_jump_is_caught_up_with(
 
 @pytest.mark.parametrize("degrees", [4.0, -4.0])
 def test_a_sudden_roll_is_caught_up_with(
-    one_target_frames: tuple[SimulatedFrame, ...], target: Target, degrees: float
+    one_target_frames: tuple[SimulatedFrame, ...], target: Reference, degrees: float
 ) -> None:
     frame = one_target_frames[0]
     H = frame.truths[0].H
@@ -99,7 +100,7 @@ def test_a_sudden_roll_is_caught_up_with(
 
 
 def test_where_a_wrong_motion_led_away_the_target_is_found_where_it_was(
-    one_target_frames: tuple[SimulatedFrame, ...], target: Target
+    one_target_frames: tuple[SimulatedFrame, ...], target: Reference
 ) -> None:
     frame = one_target_frames[0]
     H, stamp = frame.truths[0].H, frame.frame.stamp_ns
@@ -110,7 +111,7 @@ def test_where_a_wrong_motion_led_away_the_target_is_found_where_it_was(
 
 
 def test_a_track_does_not_hold_on_anything_else(
-    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...]
+    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...]
 ) -> None:
     frame = one_target_frames[0]
     track = track_of(Observation(frame.truths[0].H, frame.frame.stamp_ns - SECOND))
@@ -122,7 +123,7 @@ def test_a_track_does_not_hold_on_anything_else(
         followed(frame, targets[1], track)
 
 
-def test_few_patches_are_no_track(one_target_frames: tuple[SimulatedFrame, ...], target: Target) -> None:
+def test_few_patches_are_no_track(one_target_frames: tuple[SimulatedFrame, ...], target: Reference) -> None:
     """Of a target that is nearly covered some patches are found, but fewer than a track asks for."""
     frame = one_target_frames[0]
     H = frame.truths[0].H
@@ -141,7 +142,7 @@ def test_few_patches_are_no_track(one_target_frames: tuple[SimulatedFrame, ...],
 
 
 def test_an_exact_prediction_needs_no_second_try(
-    one_target_frames: tuple[SimulatedFrame, ...], target: Target, monkeypatch: pytest.MonkeyPatch
+    one_target_frames: tuple[SimulatedFrame, ...], target: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reaches: list[float] = []
     refine = tracking.refine_by_alignment
@@ -167,7 +168,7 @@ def test_a_covariance_is_not_much_too_small_where_the_frame_is_not_as_assumed(co
     trial = Trial(condition_named(condition), 640, 480, 24)
     parameters = parameters_from({})
     known = known_targets(trial)
-    chain = Localizer(parameters, prepare_targets(known, parameters))
+    chain = Localizer(parameters, prepare_references(known, parameters))
     squared, errors_px = [], []
     for simulated in trial_frames(trial):
         found, true = chain.process(simulated.frame).first, simulated.truths[0]

@@ -16,8 +16,10 @@ from imgu_ros.errors import NoConsensus
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import Target, TargetImage, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference.verification import COARSE, _supported, confirmed_share, require_confirmed
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.types import Matrix3
@@ -37,21 +39,21 @@ def pictures_of(simulated: SimulatedFrame, covered: np.ndarray | None = None) ->
     return GreyPyramid(develop(replace(image, pixels=pixels), p.raw, p.demosaic))
 
 
-def part(target: Target, H: Matrix3, share: float) -> np.ndarray:
+def part(target: Reference, H: Matrix3, share: float) -> np.ndarray:
     """The left part of a target, in the image."""
     width, height = target.size
     right = share * width - 0.5
     return transform(H, [[-0.5, -0.5], [right, -0.5], [right, height - 0.5], [-0.5, height - 0.5]])
 
 
-def test_all_of_a_target_in_view(one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...]) -> None:
+def test_all_of_a_target_in_view(one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...]) -> None:
     for simulated in one_target_frames[::4]:
         assert confirmed_share(pictures_of(simulated), targets[0], simulated.truths[0].H, None) > 0.85
 
 
 @pytest.mark.parametrize("hidden", [0.25, 0.5, 0.75])
 def test_a_known_part_hidden(
-    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...], hidden: float
+    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...], hidden: float
 ) -> None:
     simulated = one_target_frames[0]
     H = simulated.truths[0].H
@@ -68,14 +70,14 @@ def test_a_known_part_hidden(
 
 @pytest.mark.parametrize("shift", [(25, 0), (0, -40), (300, 200), (4000, 0)])
 def test_another_place(
-    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...], shift: tuple[float, float]
+    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...], shift: tuple[float, float]
 ) -> None:
     simulated = one_target_frames[0]
     moved = np.array([[1, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1]]) @ simulated.truths[0].H
     assert confirmed_share(pictures_of(simulated), targets[0], moved, None) < 0.1
 
 
-def test_another_target(one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...]) -> None:
+def test_another_target(one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...]) -> None:
     simulated = one_target_frames[0]
     for comparison in (COARSE,):
         share = confirmed_share(pictures_of(simulated), targets[1], simulated.truths[0].H, None, comparison)
@@ -83,7 +85,7 @@ def test_another_target(one_target_frames: tuple[SimulatedFrame, ...], targets: 
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
-def test_through_a_lens(target_images: tuple, targets: tuple[Target, ...], model: str) -> None:
+def test_through_a_lens(target_images: tuple, targets: tuple[Reference, ...], model: str) -> None:
     camera = default_camera(640, 480, model, TYPICAL_LENSES[model])
     simulation = Simulation(width=640, height=480, frames=2, seed=3, camera=camera)
     for simulated in simulate_sequence(simulation, target_images[:1]):
@@ -93,7 +95,7 @@ def test_through_a_lens(target_images: tuple, targets: tuple[Target, ...], model
 
 
 def test_a_part_in_view_and_a_darker_frame(
-    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Target, ...]
+    one_target_frames: tuple[SimulatedFrame, ...], targets: tuple[Reference, ...]
 ) -> None:
     """What lies outside the frame does not count; brightness and contrast do not matter."""
     simulated = one_target_frames[0]
@@ -122,7 +124,7 @@ def test_a_picture_that_shares_the_header_of_a_photograph_is_not_the_photograph(
     photograph = cv2.cvtColor(cv2.imread(str(data_dir / "mcmaster" / "5.tif")), cv2.COLOR_BGR2RGB)
     other = cv2.cvtColor(cv2.imread(str(data_dir / "mcmaster" / "1.tif")), cv2.COLOR_BGR2RGB)
     parameters = parameters_from({"tracking.enabled": False})
-    chain = Localizer(parameters, prepare_targets([TargetImage("photograph", photograph, 0.5)], parameters))
+    chain = Localizer(parameters, prepare_references([TargetImage("photograph", photograph, 0.5)], parameters))
     for index, simulated in enumerate(absent_frames([other], photograph, (1280, 720), 45, seed=18)):
         if index % 3 == 2:  # those with the header
             assert not chain.process(simulated.frame).first.status.found, index

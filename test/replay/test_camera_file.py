@@ -24,7 +24,7 @@ from imgu_ros.files.camera_info_file import camera_info_text, read_camera_info
 from imgu_ros.messages.compressed_image import compressed_image_message
 from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.image import decode_image
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.simulate.chessboard import draw_chessboard, random_chessboard_view
 from imgu_ros.simulate.sequence import Simulation

@@ -28,7 +28,7 @@ from imgu_ros.config.parameters import (
     declarations,
 )
 from imgu_ros.config.values import parameters_from
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
 from imgu_ros.simulate.path import Motion

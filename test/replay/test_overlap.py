@@ -24,7 +24,8 @@ from imgu_ros.errors import BagError
 from imgu_ros.files.frames_csv import FramesWriter
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.replay.frame_source import FrameSource
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
@@ -79,7 +80,7 @@ def test_the_same_as_one_frame_after_the_other(bag: Path, parameters: Parameters
     threads = cv2.getNumThreads()
     replay([bag], tmp_path / "out", parameters)
     assert cv2.getNumThreads() == threads
-    chain = Localizer(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
+    chain = Localizer(parameters, prepare_references(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source, FramesWriter(tmp_path / "serial.csv") as serial:
         for recorded in FrameSource(source, RecordedFramesParameters.of(parameters)).frames():
             serial.write(chain.process(recorded.frame))

@@ -15,7 +15,7 @@ from imgu_ros.config.files import read_parameter_file
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EncodingError, FileError, ParameterError
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import BagFormat, record_simulation, simulated_encoding
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.texture import procedural_texture

@@ -20,7 +20,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError, FileError, ParameterError
 from imgu_ros.files.frames_csv import COLUMNS
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
 from imgu_ros.result import Stage

@@ -25,7 +25,8 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError, FileError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.localizer import Localizer
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.replay import result_process, result_sink
 from imgu_ros.replay.frame_source import FrameSource
 from imgu_ros.replay.output_folder import output_folder
@@ -57,7 +58,7 @@ def parameters(bag: Path) -> Parameters:
 @pytest.fixture
 def written(bag: Path, parameters: Parameters) -> list[ResultItem]:
     """Three frames' results."""
-    chain = Localizer(parameters, prepare_targets(load_target_images(parameters.targets), parameters))
+    chain = Localizer(parameters, prepare_references(load_target_images(parameters.targets), parameters))
     with open_bag([bag]) as source:
         frames = FrameSource(source, RecordedFramesParameters.of(parameters)).frames()
         return [ResultItem(chain.process(next(frames).frame), index) for index in range(3)]

@@ -24,7 +24,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import COLUMNS
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay import result_sink
 from imgu_ros.replay.output_folder import check_output_folder
 from imgu_ros.replay.recording import record_simulation

@@ -247,7 +247,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
 
     from imgu_ros.config.values import parameters_from
     from imgu_ros.localizer import Localizer
-    from imgu_ros.reference.planar import TargetImage, prepare_targets
+    from imgu_ros.reference.templates import TargetImage
+    from imgu_ros.reference_kinds import prepare_references
     from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
     path = tmp_path_factory.mktemp("world") / "poster.png"
@@ -256,7 +257,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     simulation = Simulation(width=480, height=360, frames=4, seed=3)
     frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [target]))
     parameters = parameters_from({"targets.images": [str(path)], "targets.widths_m": [0.5]})
-    chain = Localizer(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    chain = Localizer(parameters, prepare_references([TargetImage("poster", target.pixels, 0.5)], parameters))
     results = tuple(chain.process(frame) for frame in frames)
     assert all(result.first.pose is not None for result in results)
     return World(path, frames, results)

@@ -18,7 +18,8 @@ from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.messages.geometry import pose_message
 from imgu_ros.messages.results import result_header
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import arrange_scene
@@ -54,7 +55,7 @@ def test_it_is_said_once_and_goes_into_the_covariance(oblique: Any, imgu: Any, p
     path, frames = oblique
     parameters = Parameters()
     chain = Localizer(
-        parameters, prepare_targets([TargetImage("poster", cv2.imread(str(path))[:, :, ::-1], 0.5)], parameters)
+        parameters, prepare_references([TargetImage("poster", cv2.imread(str(path))[:, :, ::-1], 0.5)], parameters)
     )
     results = [chain.process(frame) for frame in frames]
     assert results[-1].calibration is not None and results[-1].calibration.is_focal

@@ -17,7 +17,7 @@ from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.features import decode_homographies, homographies_message, matches_message
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import image_message
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import PoseStatus, ReferenceMatches, Status
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.stages.homography import INLIERS, HomographyStage

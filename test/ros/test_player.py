@@ -28,7 +28,8 @@ from imgu_ros.messages.geometry import pose_message
 from imgu_ros.messages.header import Header, decode_header, header_message
 from imgu_ros.messages.image import image_message
 from imgu_ros.messages.results import result_header
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.ros import middleware, player
 from imgu_ros.ros.messages import make_message as make_ros_message
 from imgu_ros.ros.messages import message_class
@@ -201,7 +202,7 @@ def test_a_played_bag_gives_the_offline_poses(imgu, peer, tmp_path, prompt_s):
             bag.write("/cam/image_raw", image, frame.stamp_ns)
             bag.write("/cam/camera_info", camera_info_message(make_message, header, frame.camera), frame.stamp_ns)
     parameters = parameters_from({"targets.images": ["poster.png"], "targets.widths_m": [0.5]})
-    chain = Localizer(parameters, prepare_targets([TargetImage("poster", target.pixels, 0.5)], parameters))
+    chain = Localizer(parameters, prepare_references([TargetImage("poster", target.pixels, 0.5)], parameters))
     results = [chain.process(frame) for frame in frames]
 
     node = imgu(

@@ -13,7 +13,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ShapeError
 from imgu_ros.localizer_builder import Built, build
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.ros import rebuilding
 from imgu_ros.ros.rebuilding import Rebuilder
 from imgu_ros.simulate.texture import procedural_texture
@@ -36,11 +36,11 @@ def taken(rebuilder: Rebuilder) -> Built:
 
 def test_targets_are_used_again_where_parameters_make_no_difference_to_them(built):
     later = build(built.images, replace(CHEAP, seed=7), built)
-    assert later.targets == built.targets
+    assert later.references == built.references
     assert later.chain is not built.chain
     fewer = build(built.images, parameters_from({"keypoints.max_count": 50}, CHEAP), built)
-    assert fewer.targets != built.targets
-    assert len(fewer.targets[0].features.described.keypoints) < len(built.targets[0].features.described.keypoints)
+    assert fewer.references != built.references
+    assert len(fewer.references[0].features.described.keypoints) < len(built.references[0].features.described.keypoints)
 
 
 def test_the_newest_is_made_and_only_once(built):

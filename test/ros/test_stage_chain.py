@@ -27,7 +27,8 @@ from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
 from imgu_ros.messages.result_converter import ResultConverter
 from imgu_ros.reference import features as target_features
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result, Status
 from imgu_ros.ros.messages import make_message
@@ -101,7 +102,7 @@ class Six:
 
 def compared(parameters: Parameters, images: list[TargetImage], frames: list[Frame]) -> list[float]:
     """Return the differences of the corners, px, between the six stages and the chain, for targets that are found."""
-    chain, six = Localizer(parameters, prepare_targets(images, parameters)), Six(parameters, images)
+    chain, six = Localizer(parameters, prepare_references(images, parameters)), Six(parameters, images)
     differences = []
     for frame in frames:
         expected = chain.process(frame)

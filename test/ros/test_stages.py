@@ -28,7 +28,8 @@ from imgu_ros.messages.geometry import odometry_message, pose_message
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import image_message
 from imgu_ros.messages.results import result_header
-from imgu_ros.reference.planar import TargetImage, prepare_targets
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Result, Status
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.qos import image_qos
@@ -72,7 +73,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
     path = folder / "poster.png"
     cv2.imwrite(str(path), image.pixels[:, :, ::-1])
     parameters = parameters_from({**OFF, "targets.images": [str(path)], "targets.widths_m": [0.3]})
-    chain = Localizer(parameters, prepare_targets([TargetImage("poster", image.pixels, 0.3)], parameters))
+    chain = Localizer(parameters, prepare_references([TargetImage("poster", image.pixels, 0.3)], parameters))
     simulation = Simulation(width=SIZE[0], height=SIZE[1], frames=FRAMES, seed=5)
     frames = tuple(simulated.frame for simulated in simulate_sequence(simulation, [image]))
     results = tuple(chain.process(frame) for frame in frames)

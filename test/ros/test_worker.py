@@ -21,7 +21,7 @@ from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
 from imgu_ros.reference import features as target_features
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import Result, Status
 from imgu_ros.ros import worker as worker_module
 from imgu_ros.ros.frame_queue import FrameQueue

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imgu_ros.errors import ParameterError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.capture import Capture, check_capture, thin_lens, views_of
 from imgu_ros.simulate.geometry import rotation_about
 from imgu_ros.simulate.render import Renderer

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.path import Motion, camera_from_scene_at
 from imgu_ros.simulate.scene import arrange_scene, radius_of, template_matrix

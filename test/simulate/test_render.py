@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import image_from_template, rotation_about
 from imgu_ros.simulate.optics import PixelGrid
 from imgu_ros.simulate.render import Renderer

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import ParameterError, ShapeError
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.sequence import Simulation, default_camera, default_targets, simulate_sequence
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.vision.formation.cfa import BayerPattern

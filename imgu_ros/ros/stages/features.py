@@ -18,7 +18,7 @@ from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.image import decode_image
 from imgu_ros.messages.reduced_info import Covered, decode_covered
 from imgu_ros.reference.features import extractor_options
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import Result
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics

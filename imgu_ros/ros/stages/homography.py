@@ -17,15 +17,14 @@ from imgu_ros.detect.robust_fit import Sight, draws, located
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
-from imgu_ros.messages.camera_reading import CameraReading
 from imgu_ros.messages.features import decode_target_matches, matches_message
-from imgu_ros.messages.header import decode_header
+from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import decode_image
 from imgu_ros.messages.reduced_info import image_size
-from imgu_ros.pose.planar_pose import Located, posed
+from imgu_ros.pose.planar_pose import Located, with_homography
 from imgu_ros.reasons import no_matches
-from imgu_ros.reference.planar import Target, TargetImage
-from imgu_ros.result import PoseStatus, ReferenceMatches, ReferenceResult, Result, Status, by_name
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
@@ -41,7 +40,6 @@ from imgu_ros.ros.stages.stage import (
 )
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.stage_clock import StageClock
-from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.matches import Matches
 
 #: What each homography was fitted to: the columns of `matches`.
@@ -85,48 +83,39 @@ class HomographyStage(TargetStage):
         """See `Stage.work`."""
         header = decode_header(job.messages[_MATCHES])
         tentative = decode_target_matches(job.messages[_MATCHES])
-        sight, read = self._sight(job)
+        sight = self._sight(job, header)
         clock = StageClock()
-        places: dict[int, Located] = {}
+        places: dict[str, Located] = {}
 
-        def finish(
-            found: ReferenceResult,
-            target: Target,
-            place: Located,
-            camera: Camera | None,
-            parameters: Parameters,
-            _: str,
-        ) -> ReferenceResult:
-            places[found.number] = place
-            # The pose is another stage's: of a target of unknown size there is none.
-            outlined = posed(found, replace(target, width_m=0.0), place, camera, parameters)
-            return replace(outlined, pose_status=PoseStatus.NONE, reason="")
+        def finish(found: ReferenceResult, place: Located) -> ReferenceResult:
+            # The pose is another stage's.
+            places[found.name] = place
+            return with_homography(found, self.targets[found.number].plane, place, sight.frame.camera)
 
         def sought() -> Iterator[ReferenceResult]:
-            for index, matches in tentative.items():
-                if not 0 <= index < len(self.targets):
+            for number, matches in tentative.items():
+                if not 0 <= number < len(self.targets):
                     continue
-                target = self.targets[index]
-                missing = ReferenceResult(target.name, index, Status.LOST, matches=matches)
-                rng = draws(self.parameters, header.stamp_ns, index)
+                target = self.targets[number]
+                missing = ReferenceResult(target.name, number, Status.LOST, matches=matches)
+                rng = draws(self.parameters, header.stamp_ns, target)
                 yield located(missing, target, sight, self.parameters, rng, clock, finish=finish)
 
-        found = {result.number: result for result in while_promising(sought())}
-        targets = [
-            found.get(index) or ReferenceResult(target.name, index, Status.LOST, reason=no_matches())
-            for index, target in enumerate(self.targets)
-        ]
-        result = Result(
-            frame_without_image(header, read),
-            by_name(targets),
-            times_ns=clock.times_ns,
-            total_ns=sum(clock.times_ns.values()),
-        )
+        found = by_name(while_promising(sought()))
+        results = {
+            each.name: found.get(each.name) or ReferenceResult(each.name, each.number, Status.LOST, reason=no_matches())
+            for each in self.targets
+        }
+        result = Result(sight.frame, results, times_ns=clock.times_ns, total_ns=sum(clock.times_ns.values()))
         outputs.publish(result)
-        fitted = [replace(found[index], matches=_agreeing(place)) for index, place in sorted(places.items())]
+        fitted = [
+            replace(found[each.name], matches=_agreeing(places[each.name]))
+            for each in self.targets
+            if each.name in places
+        ]
         outputs.offer(INLIERS, lambda: matches_message(make_message, header, fitted))
 
-    def _sight(self, job: StageJob) -> tuple[Sight, CameraReading]:
+    def _sight(self, job: StageJob, header: Header) -> Sight:
         pictures = None
         if _PICTURE in job.messages:
             developed = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
@@ -141,7 +130,8 @@ class HomographyStage(TargetStage):
             raise ImguError("frame: neither image_mono nor camera_info; need one of them, or camera.info_file")
         read = self.reading.camera(job.camera_info, (width, height))
         self.remarks = unusable(read) or read.remarks
-        return Sight(read.camera, pictures, reduction_of((height, width), self.parameters).unit_px), read
+        unit_px = reduction_of((height, width), self.parameters).unit_px
+        return Sight(frame_without_image(header, read), pictures, unit_px)
 
 
 def _agreeing(place: Located) -> ReferenceMatches:

@@ -14,6 +14,7 @@ from imgu_ros.detect.detector import ReferenceDetector
 from imgu_ros.errors import EncodingError
 from imgu_ros.messages.features import decode_keypoints
 from imgu_ros.messages.header import decode_header
+from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
@@ -45,25 +46,28 @@ class MatcherStage(TargetStage):
         return StageTopics((cloud_feed(node, _IN),))
 
     def _prepare(self, parameters: Parameters, parts: BuildCache) -> None:
-        self._seeker = ReferenceDetector(self.targets, parameters, parts)
+        self._seeker = ReferenceDetector(self._planar(), parameters, parts)
+
+    def _planar(self) -> list[PlanarReference]:
+        return [each for each in self.targets if isinstance(each, PlanarReference)]
 
     def work(self, job: StageJob, outputs: Outputs) -> None:
         """See `Stage.work`."""
         message = job.messages[_IN]
         keypoints, descriptors = decode_keypoints(message)
-        if self._seeker is None or not self.targets:
+        if self._seeker is None or not self._planar():
             return
-        known = self.targets[0].features.described.descriptors
+        known = self._planar()[0].features.described.descriptors
         if descriptors is None or descriptors.shape[1:] != known.shape[1:] or descriptors.dtype != known.dtype:
             got = "none" if descriptors is None else f"{descriptors.shape[1]} x {descriptors.dtype}"
             raise EncodingError(f"descriptors: {got}; need {known.shape[1]} x {known.dtype}: the same descriptor.kind")
         found = list(self._seeker.match(Descriptions(keypoints, descriptors)))
         # Nothing for all others is told too: so it is heard that the frame was looked at.
-        sought = {target.number for target in found}
+        sought = {result.name for result in found}
         found += [
-            ReferenceResult(target.name, index, Status.LOST, matches=_NONE)
-            for index, target in enumerate(self.targets)
-            if index not in sought
+            ReferenceResult(each.name, each.number, Status.LOST, matches=_NONE)
+            for each in self.targets
+            if each.name not in sought
         ]
         outputs.publish(Result(frame_without_image(decode_header(message)), by_name(found)))
 

@@ -12,7 +12,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.messages.diagnostics import diagnostics_message
-from imgu_ros.reference.planar import TargetImage
+from imgu_ros.reference.templates import TargetImage
 from imgu_ros.remarks import Remarks
 from imgu_ros.ros.current_frame import CurrentFrame
 from imgu_ros.ros.frame_queue import FrameQueue

@@ -8,16 +8,18 @@ from collections.abc import Mapping, Sequence, Set
 from rclpy.node import Node
 
 from imgu_ros.build_cache import BuildCache
+from imgu_ros.camera_memory import JUMP_NS
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EstimationError
-from imgu_ros.localizer import JUMP_NS
+from imgu_ros.frame import Frame
 from imgu_ros.messages.camera_reading import CameraReading
 from imgu_ros.messages.features import decode_calibrated, decode_estimates, decode_sharp, decode_target_matches
 from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.results import result_status_message
 from imgu_ros.pose.calibration_check import CalibrationCheck
-from imgu_ros.pose.planar_pose import Located, posed
+from imgu_ros.pose.planar_pose import Located
 from imgu_ros.reasons import no_homography, no_pose
+from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.size_checks import SizeChecks
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.messages import make_message
@@ -92,9 +94,9 @@ class PoseStage(TargetStage):
         if self._last_ns is not None and header.stamp_ns < self._last_ns - JUMP_NS:
             self._check.reset()
         self._last_ns = header.stamp_ns
-        targets = tuple(self._posed(index, estimates, agreeing, sharp, read) for index in range(len(self.targets)))
-        targets = self._check.examined(read.camera, targets)
-        result = Result(frame_without_image(header, read), by_name(targets), calibration=self._check.finding)
+        frame = frame_without_image(header, read)
+        found = by_name(self._posed(each, estimates, agreeing, sharp, frame) for each in self.targets)
+        result = Result(frame, self._check.examined(frame.camera, found), calibration=self._check.finding)
         self._sizes.add(result)
         self.remarks = (*(unusable(read) or result.camera_remarks), *self._sizes.warnings.values())
         outputs.publish(result)
@@ -102,19 +104,19 @@ class PoseStage(TargetStage):
 
     def _posed(
         self,
-        index: int,
+        target: Reference,
         estimates: Mapping[int, HomographyEstimate],
         agreeing: Mapping[int, ReferenceMatches],
         sharp: Set[int],
-        read: CameraReading,
+        frame: Frame,
     ) -> ReferenceResult:
-        target = self.targets[index]
-        if index not in estimates:
-            return ReferenceResult(target.name, index, Status.LOST, reason=no_homography())
-        matches = agreeing[index]
-        place = Located(matches.template_xy, matches.image_xy, estimates[index], halvings=int(index not in sharp))
-        found = ReferenceResult(target.name, index, Status.DETECTED, matches=matches)
+        number = target.number
+        if number not in estimates:
+            return ReferenceResult(target.name, number, Status.LOST, reason=no_homography())
+        matches = agreeing[number]
+        place = Located(matches.template_xy, matches.image_xy, estimates[number], halvings=int(number not in sharp))
+        found = ReferenceResult(target.name, number, Status.DETECTED, matches=matches)
         try:
-            return posed(found, target, place, read.camera, self.parameters, read.reason)
+            return target.pose(found, place, frame, self.parameters)
         except EstimationError as error:
-            return ReferenceResult(target.name, index, Status.DEGENERATE, reason=no_pose(error), matches=matches)
+            return ReferenceResult(target.name, number, Status.DEGENERATE, reason=no_pose(error), matches=matches)

@@ -17,7 +17,9 @@ from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
 from imgu_ros.messages.camera_reading import CameraReading
 from imgu_ros.messages.header import Header
-from imgu_ros.reference.planar import Target, TargetImage, known_targets, prepare_targets
+from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import make_references, prepare_references
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.qos import output_qos
 from imgu_ros.ros.stages.input import Feed, StageJob, StageTopics
@@ -114,14 +116,14 @@ class TargetStage(Stage):
 
     needs_targets = True
     needs_features: ClassVar[bool] = False
-    targets: tuple[Target, ...] = ()
+    targets: tuple[Reference, ...] = ()
     _parts: BuildCache | None = None
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
         """See `Stage.use`; what does not depend on the parameters that have changed is used again."""
         reading = self._reading_for(parameters)
         parts = BuildCache(self._parts)
-        self.targets = (prepare_targets if self.needs_features else known_targets)(images, parameters, parts)
+        self.targets = (prepare_references if self.needs_features else make_references)(images, parameters, parts)
         self._prepare(parameters, parts)
         parts.settle()
         self._parts = parts

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A frame while it is processed: what the steps of the pipeline need of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from imgu_ros.detect.features import Features
+from imgu_ros.errors import ShapeError
+from imgu_ros.frame import Frame
+from imgu_ros.image.development import Developed
+from imgu_ros.image.frame_development import Development
+from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.result import Result, Stage
+from imgu_ros.stage_clock import StageClock
+
+
+class FrameContext:
+    """A frame while it is processed.
+
+    Parameters
+    ----------
+    frame : as it came
+    development : of the frame
+    extract : detects and describes the keypoints of a grey image, and takes the time of the stages
+
+    Attributes
+    ----------
+    frame : as given
+    clock : takes the time of the stages
+    """
+
+    def __init__(
+        self, frame: Frame, development: Development, extract: Callable[[GreyPyramid, StageClock], Features]
+    ) -> None:
+        self._start_ns = time.perf_counter_ns() - development.took_ns
+        self.frame = frame
+        self._development = development
+        self._image: GreyPyramid | None = None
+        self._extract = extract
+        self._features: Features | None = None
+        self.clock = StageClock()
+        self.clock.times_ns[Stage.DEVELOP] = development.took_ns
+
+    @property
+    def developed(self) -> Developed:
+        """The developed image.
+
+        Raises
+        ------
+        ShapeError
+            If the frame could not be developed.
+        """
+        if self._development.developed is None:
+            raise ShapeError(self._development.reason)
+        return self._development.developed
+
+    @property
+    def image(self) -> GreyPyramid:
+        """The grey image, at full resolution and halved; raises as `developed`."""
+        if self._image is None:
+            self._image = GreyPyramid(self.developed)
+        return self._image
+
+    @property
+    def features(self) -> Features:
+        """The frame's pyramid, keypoints and descriptors; computed on the first call."""
+        if self._features is None:
+            self._features = self._extract(self.image, self.clock)
+        return self._features
+
+    @property
+    def computed_features(self) -> Features | None:
+        """The features; None when nothing has needed them."""
+        return self._features
+
+    def timed(self, result: Result) -> Result:
+        """Return a result with the time that the frame has taken so far."""
+        return replace(result, times_ns=self.clock.times_ns, total_ns=time.perf_counter_ns() - self._start_ns)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plane of a reference: its outline in template px and, where its printed width is known, its metric frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imgu_ros.types import Points
+
+
+class Plane:
+    """A rectangle of `width` x `height` template px on a plane.
+
+    Parameters
+    ----------
+    width, height : of the template, px
+    width_m : printed width, outer edge to outer edge; 0: unknown
+
+    Attributes
+    ----------
+    outline : (4, 2) template px, the outer corners: top left, top right, bottom right, bottom left
+    outline_homogeneous : (3, 4), the same in homogeneous coordinates, one a column
+    metres_from_template : (3, 3) affine; the metric frame has its origin at the centre, x right, y up
+    """
+
+    def __init__(self, width: int, height: int, width_m: float) -> None:
+        self.size = width, height
+        self.width_m = width_m
+        right, bottom = width - 0.5, height - 0.5
+        self.outline = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+        self.outline_homogeneous = np.vstack((self.outline.T, np.ones(4)))
+        scale = width_m / width
+        self.metres_from_template = np.array(
+            [[scale, 0, -scale * (width - 1) / 2], [0, -scale, scale * (height - 1) / 2], [0, 0, 1]]
+        )
+        for array in (self.outline, self.outline_homogeneous, self.metres_from_template):
+            array.flags.writeable = False
+
+    def to_metres(self, template_xy: Points) -> Points:
+        """Map template px (N, 2) to the metric frame."""
+        M = self.metres_from_template
+        return np.asarray(template_xy @ M[:2, :2].T + M[:2, 2])

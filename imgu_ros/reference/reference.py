@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What poses refer to. A kind of reference is a subclass of `Reference` in a file of its own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.frame import Frame
+from imgu_ros.pose.calibration_check import CalibrationCheck
+from imgu_ros.pose.planar_pose import Located
+from imgu_ros.pose.plane import Plane
+from imgu_ros.reference.templates import AlignmentLevel
+from imgu_ros.result import ReferenceResult
+
+
+class Reference(ABC):
+    """One thing whose pose is estimated: its name, its templates, and the pose that it gives.
+
+    Parameters
+    ----------
+    name : in topics, files and coordinate frames; unique among the references of a localizer
+    number : its place in `targets.images`, which messages carry
+    plane : its outline and metric frame
+
+    Attributes
+    ----------
+    kind : key of `imgu_ros.reference_kinds.KINDS`
+    size, width_m, outline_template, outline_homogeneous : of the plane
+
+    Notes
+    -----
+    A track follows the reference by its templates, whatever its kind; `imgu_ros.reference_kinds` says which detector
+    finds references of a kind.
+    """
+
+    kind: ClassVar[str]
+
+    def __init__(self, name: str, number: int, plane: Plane) -> None:
+        self.name = name
+        self.number = number
+        self.plane = plane
+        # Attributes, not properties: the tracker reads them in every frame.
+        self.size, self.width_m = plane.size, plane.width_m
+        self.outline_template, self.outline_homogeneous = plane.outline, plane.outline_homogeneous
+
+    @abstractmethod
+    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
+        """Return the templates, from fine to coarse.
+
+        Parameters
+        ----------
+        linear : whether their values are linear in the light, as those of a raw frame; else they are sRGB
+        """
+
+    @abstractmethod
+    def has_template_of(self, other: Reference) -> bool:
+        """Return whether a track of the other reference is one of this one: the templates are the same."""
+
+    @abstractmethod
+    def pose(
+        self,
+        found: ReferenceResult,
+        located: Located,
+        frame: Frame,
+        parameters: Parameters,
+        check: CalibrationCheck | None = None,
+    ) -> ReferenceResult:
+        """Complete a result by homography, outline and, where it can be estimated, pose.
+
+        Parameters
+        ----------
+        found : what is known so far
+        located : where the reference is in the frame
+        frame : gives the camera
+        parameters : all parameters
+        check : is asked whether it needs the residuals of the pose; None: they are computed
+
+        Raises
+        ------
+        EstimationError
+            If no view of the reference has this homography.
+        """
+
+    def require_detectable(self, min_inliers: int) -> None:  # noqa: B027 (most kinds can always be detected)
+        """Compute what detection compares frames with.
+
+        Raises
+        ------
+        ShapeError
+            If fewer than `min_inliers` features could ever be matched.
+        """
+
+    def prepare(self, linear: bool) -> None:
+        """Compute what the first frame that shows another octave would have to wait for; see `octaves`."""
+        for octave in self.octaves(linear):
+            _ = octave.corners

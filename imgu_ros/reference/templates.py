@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Templates: the image of a reference at every octave, with the points whose patches are aligned with frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgu_ros.image.development import grey_of
+from imgu_ros.types import Image, Points
+from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
+from imgu_ros.vision.keypoints.spreading import spread
+from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
+
+#: Weakest corner for a patch, as a share of the strongest response. Measured: benchmarks/thresholds.py, study tracking.
+_CORNER_QUALITY = 0.005
+#: Smallest distance of two patch centres, px of the level. Measured: benchmarks/thresholds.py, study tracking.
+_CORNER_DISTANCE_PX = 6
+#: The best-spread patches come first: sets of so many and more patches are each spread over the whole image.
+_FIRST_SPREAD = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetImage:
+    """A known flat picture.
+
+    Attributes
+    ----------
+    name : in topics, files and frames
+    pixels : (H, W) or (H, W, 3) RGB, uint8
+    width_m : printed width, outer edge to outer edge; 0: unknown
+    is_linear : whether values go with the light, as a sensor's; else they are sRGB, as those of image files
+    """
+
+    name: str
+    pixels: Image
+    width_m: float
+    is_linear: bool = False
+
+    def shows_the_same(self, other: TargetImage) -> bool:
+        """Return whether both are the same picture, of whatever width."""
+        if self.pixels is other.pixels:
+            return self.is_linear == other.is_linear
+        return self.is_linear == other.is_linear and bool(np.array_equal(self.pixels, other.pixels))
+
+
+class AlignmentLevel:
+    """A target at one scale, for alignment by patches; of a known target few octaves are ever seen.
+
+    Parameters
+    ----------
+    level : the picture, uint8, and its scale
+    count : patches that are used at once
+
+    Attributes
+    ----------
+    level : as given
+    """
+
+    def __init__(self, level: Level, count: int) -> None:
+        self.level = level
+        self._count = count
+        self._corners: Points | None = None
+        self._patches: tuple[int, PatchBank] | None = None
+
+    @property
+    def corners(self) -> Points:
+        """The points worth following, best spread first: (N, 2) px of the full-resolution target; made once."""
+        if self._corners is None:
+            self._corners = _corners(self.level, self._count)
+        return self._corners
+
+    def patches(self, window_px: int) -> PatchBank:
+        """Return the patches about the corners, in the level's px; those of the last size are kept."""
+        kept = self._patches
+        if kept is None or kept[0] != window_px:
+            kept = (window_px, PatchBank(self.level.image, self.level.from_full(self.corners), window_px))
+            self._patches = kept
+        return kept[1]
+
+
+class AlignmentPyramids:
+    """A target's picture at every octave, with values that go with the light, or those of sRGB; made when asked for.
+
+    Parameters
+    ----------
+    image : the picture
+    grey_weights : of red, green and blue; not used for a grey picture
+    kernel : of the pyramid
+    """
+
+    def __init__(self, image: TargetImage, grey_weights: tuple[float, ...], kernel: str) -> None:
+        self._image = image
+        self._grey_weights = grey_weights
+        self._kernel = kernel
+        self._made: dict[bool, tuple[Level, ...]] = {}
+
+    def levels(self, linear: bool) -> tuple[Level, ...]:
+        """Return the octaves, from fine to coarse."""
+        if linear not in self._made:
+            pixels = self._image.pixels
+            if linear != self._image.is_linear:
+                pixels = linear_from_srgb(pixels) if linear else srgb_from_linear(pixels)
+            grey = grey_template(pixels, self._grey_weights)
+            self._made[linear] = build_pyramid(
+                grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=self._kernel
+            ).levels
+        return self._made[linear]
+
+
+class AlignmentPictures:
+    """A target's picture at every octave, as frames show it, with its points worth following; made when asked for.
+
+    Parameters
+    ----------
+    pyramids : the picture
+    max_points : patches that are used at once
+    """
+
+    def __init__(self, pyramids: AlignmentPyramids, max_points: int) -> None:
+        self._pyramids = pyramids
+        self._max_points = max_points
+        self._made: dict[bool, tuple[AlignmentLevel, ...]] = {}
+
+    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
+        """Return the octaves, from fine to coarse, with values that go with the light, or those of sRGB."""
+        if linear not in self._made:
+            levels = self._pyramids.levels(linear)
+            self._made[linear] = tuple(AlignmentLevel(level, self._max_points) for level in levels)
+        return self._made[linear]
+
+
+def grey_template(pixels: Image, weights: tuple[float, ...]) -> Image:
+    """Return the grey image of a template.
+
+    Parameters
+    ----------
+    pixels : (H, W) or (H, W, 3) RGB, uint8
+    weights : of red, green and blue; not used for a grey image
+    """
+    return np.ascontiguousarray(pixels) if pixels.ndim == 2 else grey_of(pixels, weights)
+
+
+def _corners(level: Level, count: int) -> Points:
+    corners = cv2.goodFeaturesToTrack(level.image, 6 * count, _CORNER_QUALITY, _CORNER_DISTANCE_PX)
+    xy = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
+    # goodFeaturesToTrack sorts by strength but does not return it: the rank serves as well.
+    rank = -np.arange(len(xy), dtype=np.float64)
+    size = (level.image.shape[1], level.image.shape[0])
+    # However many of them are taken, from the first, lie spread over the picture.
+    counts = [3 * count]
+    while counts[0] > _FIRST_SPREAD:
+        counts.insert(0, counts[0] // 2)
+    order = np.concatenate([spread(xy, rank, size, n) for n in counts])
+    _, first = np.unique(order, return_index=True)
+    return level.to_full(xy[order[np.sort(first)]])
