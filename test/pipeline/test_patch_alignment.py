@@ -13,6 +13,7 @@ from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.development import develop
 from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import AlignmentPictures, AlignmentPyramids, TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
@@ -134,4 +135,11 @@ def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Refer
         AlignmentPyramids(TargetImage("blank", np.full((300, 400), 90, np.uint8), 0.5), (), "sampled"), max_points=150
     )
     with pytest.raises(NoConsensus, match="the target has none"):
-        follow_patches(pictures, 0, replace(target, pictures=blank), H, None, EFFORT)
+        follow_patches(
+            pictures,
+            0,
+            PlanarReference(0, target.image, blank, target.front, target.close, target.thorough),
+            H,
+            None,
+            EFFORT,
+        )

@@ -244,7 +244,7 @@ def test_text_in_frames_csv_is_quoted(tmp_path: Path, text: str, cell: str) -> N
     """Read back by our reader and by csv as spreadsheets do; a name from outside may be anything."""
     result = blank()
     target = replace(result.first, name=text, reason=text)
-    result = replace(result, frame=replace(result.frame, frame_id=text), targets=(target, target))
+    result = replace(result, frame=replace(result.frame, frame_id=text), references={"a": target, "b": target})
     with FramesWriter(tmp_path / "frames.csv") as writer:
         writer.write(result)
     data = (tmp_path / "frames.csv").read_bytes()
