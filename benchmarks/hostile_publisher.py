@@ -57,7 +57,8 @@ def main() -> int:
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
-    sender = _Sender(random.Random(arguments.seed), arguments.frame_id, arguments.transport)
+    shares = _SHARES | {"large image": arguments.large}
+    sender = _Sender(random.Random(arguments.seed), arguments.frame_id, arguments.transport, shares)
     sent: Counter[str] = Counter()
     for _ in range(_FIRST_LARGE):
         sent[sender.send("large image")] += 1
@@ -74,7 +75,7 @@ def main() -> int:
 
 
 class _Sender:
-    def __init__(self, rng: random.Random, good_frame_id: str, transport: str) -> None:
+    def __init__(self, rng: random.Random, good_frame_id: str, transport: str, shares: dict[str, int]) -> None:
         from rcl_interfaces.srv import GetParameters, SetParameters
         from rclpy.node import Node
         from rosgraph_msgs.msg import Clock
@@ -83,7 +84,7 @@ class _Sender:
 
         from imgu_ros.ros.qos import camera_info_qos, image_qos
 
-        self._rng, self._transport = rng, transport
+        self._rng, self._transport, self._shares = rng, transport, shares
         self._kind = Image if transport == "raw" else CompressedImage
         topic = IMAGE_TOPIC if transport == "raw" else f"{IMAGE_TOPIC}/compressed"
         self._images = Liar(rng, np.array(_K), (640, 480), (*_OTHERS, good_frame_id))
@@ -117,7 +118,7 @@ class _Sender:
 
     def send(self, kind: str = "") -> str:
         """Send a message of a kind, by default a random one; return the kind."""
-        kind = kind or self._rng.choices(list(_SHARES), weights=list(_SHARES.values()))[0]
+        kind = kind or self._rng.choices(list(self._shares), weights=list(self._shares.values()))[0]
         try:
             self._kinds[kind]()
         except RuntimeError:  # rcl itself refuses to send it
@@ -196,6 +197,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages a second")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--large", type=int, default=2, metavar="N", help="weight of the largest images; others: 98")
     parser.add_argument("--frame-id", default="camera", help="the good camera's")
     parser.add_argument("--transport", choices=("raw", "compressed"), default="raw")
     return parser.parse_args()

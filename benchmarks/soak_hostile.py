@@ -93,6 +93,7 @@ def main() -> int:
             if arguments.hostile_rate:
                 hostile = _started(
                     [str(_HERE / "hostile_publisher.py"), "--rate", str(arguments.hostile_rate),
+                     "--large", str(arguments.large),
                      "--frame-id", frames[0].frame_id, "--transport", arguments.transport],
                     Path(folder) / "hostile.log",
                 )  # fmt: skip
@@ -380,6 +381,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=60.0, metavar="M")
     parser.add_argument("--size", default="640x480", metavar="WxH")
     parser.add_argument("--round", type=int, default=120, metavar="N", help="frames of a full roll")
+    parser.add_argument("--large", type=int, default=2, metavar="N", help="weight of the largest hostile images")
     parser.add_argument("--hostile-rate", type=float, default=10.0, metavar="HZ", help="0: no hostile publisher")
     parser.add_argument("--transport", choices=("raw", "compressed"), default="raw")
     parser.add_argument("--domain", type=int, default=79, metavar="ID", help="ROS domain of the measurement")

@@ -40,8 +40,8 @@ NUMERIC = {"numpy", "scipy", "cv2"}
 ORDER = (
     "shown_text", "errors", "arguments", "types", "file_access", "vision", "config", "frame", "image",
     "result", "stage_clock", "reasons", "build_cache", "pose", "reference", "track", "camera_memory", "detect",
-    "reference_kinds", "localizer", "localizer_builder", "remarks", "stop_signals", "threads", "image_files",
-    "messages", "files", "simulate", "report", "bags", "replay", "bench", "ros", "cli",
+    "reference_kinds", "localizer", "localizer_builder", "remarks", "process_memory", "stop_signals", "threads",
+    "image_files", "messages", "files", "simulate", "report", "bags", "replay", "bench", "ros", "cli",
 )  # fmt: skip
 #: From a frame to a result: knows no message, no file and no recording.
 PIPELINE = {

@@ -20,6 +20,8 @@ from imgu_ros.errors import FileError, ImguError
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _VARIABLES = (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE")
 _FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+#: rmw_fastrtps takes the memory policy of queues from the profile when this is "1".
+_QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 _TRANSPORTS_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 #: Fast DDS does not read the file of the working directory when this is "1".
 _SKIP_VARIABLE = "SKIP_DEFAULT_XML_FILE"
@@ -73,6 +75,7 @@ def set_profile() -> None:
     if profile is not None:
         for name in _VARIABLES:
             os.environ[name] = str(config_file(profile.name))
+        os.environ.setdefault(_QOS_FROM_PROFILE, "1")
 
 
 def require_room_to_start() -> None:
