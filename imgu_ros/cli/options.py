@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several commands share: parameters, set exactly as ROS 2 sets them."""
+"""Options shared by commands: parameters, set as in ROS 2."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 _GROUP = "parameters (see `imgu params`)"
 
 
-#: What reading pictures may cost, for `only`.
+#: Limits on decoding images, for `only`.
 PICTURE_LIMITS = ("limits.picture_mb", "limits.picture_megapixels")
-#: What reading bags may cost, for `only`.
+#: Limits on reading bags, for `only`.
 BAG_LIMITS = tuple(f"limits.{name}" for name in ("message_mb", "temporary_mb", "expansion", "schema_fields", "text_mb"))
 
 
 def add_parameter_options(
     parser: argparse.ArgumentParser, only: tuple[str, ...] = (), without: tuple[str, ...] = ()
 ) -> None:
-    """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated and count as in ROS 2.
+    """Add `-p NAME:=VALUE` and `--params-file FILE`; both may be repeated and combine as in ROS 2.
 
     Parameters
     ----------
     parser : of the command
-    only : names and groups of the parameters that mean something to the command; empty: all. `-p` refuses the others;
-        a file may hold them, as it may be the whole chain's
-    without : names of parameters that mean nothing to the command, of those that do otherwise
+    only : names and groups of the parameters that the command uses; empty: all. `-p` refuses the others; a file may
+        hold them, as it may be that of the whole pipeline
+    without : names of the parameters that the command does not use, although it uses their group
     """
     used = ", ".join(f"{name}.*" if _is_group(name) else name for name in only)
     group = parser.add_argument_group(_GROUP, f"used here: {used}" if used else None)
@@ -53,12 +53,12 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
     Parameters
     ----------
     arguments : parsed by a parser that went through `add_parameter_options`
-    extra : values that the command sets itself; what the user sets wins
+    extra : values that the command sets; those of the user take precedence
 
     Raises
     ------
     ParameterError
-        If a parameter is unknown, has the wrong type, lies outside its range, or means nothing to the command.
+        If a parameter is unknown, of the wrong type, out of range, or not used by the command.
     FileError
         If a parameter file cannot be read.
     """
@@ -83,9 +83,11 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
     only = arguments.used_parameters
     for name in overridden:
         if only and not any(name == one or name.startswith(f"{one}.") for one in only):
-            raise ParameterError(f"{name}: no part of this command; need one of {', '.join(only)}")
+            raise ParameterError(f"{name}: not used by this command; need one of {', '.join(only)}")
         if name in arguments.unused_parameters:
-            raise ParameterError(f"{name}: no part of this command, which makes its own frames; need others")
+            raise ParameterError(
+                f"{name}: not used by this command, which renders its own frames; need other parameters"
+            )
     return parameters
 
 

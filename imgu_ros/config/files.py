@@ -9,7 +9,7 @@ from pathlib import Path
 
 from imgu_ros.config.parameters import Declaration, LimitsParameters, declaration, declarations
 from imgu_ros.config.rcl_parameters import SECTION, RclParameters, section_applies, with_slash
-from imgu_ros.config.values import checked_value, is_empty_group, value_or_empty
+from imgu_ros.config.values import checked_value, is_empty_group
 from imgu_ros.errors import ParameterError
 from imgu_ros.file_access.bounded_reading import file_bytes
 
@@ -36,19 +36,6 @@ def read_parameter_file(path: Path | str, node_name: str = "perception") -> dict
     given = GivenParameters(node_name)
     given.add_file(path)
     return given.values()
-
-
-def parse_override(text: str) -> tuple[str, object]:
-    """Return name and value of "name:=value"; the value is YAML with ROS 2's meanings.
-
-    Raises
-    ------
-    ParameterError
-        If there is no ":=", no name, no value, or the value is neither a scalar nor a list of scalars.
-    """
-    parameters = RclParameters()
-    name = parameters.add_override(text)
-    return name, parameters.entries(lambda section: True)[name].value
 
 
 class GivenParameters:
@@ -98,7 +85,7 @@ class GivenParameters:
             if _OF_EVERY_NODE.fullmatch(name) or is_empty_group(name, entry.value):
                 continue
             try:
-                values[name] = checked_value(name, value_or_empty(name, entry.value))
+                values[name] = checked_value(name, entry.value)
             except ParameterError as error:
                 raise ParameterError(f"{entry.source}: {error}" if entry.source else str(error)) from None
         return values

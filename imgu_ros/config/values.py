@@ -23,8 +23,9 @@ _SHOWN_CHARACTERS = 80
 def checked_value(name: str, value: object) -> ParameterValue:
     """Return `value` in the declared type of the parameter `name`.
 
-    An integer serves as a double, a list or numpy array as an array, and one value as an array of one; the name of a
-    frame loses leading slashes; nothing else is converted.
+    An integer serves as a double, a list or numpy array as an array, one value as an array of one, and None as an empty
+    array (ROS gives no value for `[]`, which has no type there); the name of a frame loses leading slashes; nothing
+    else is converted.
 
     Raises
     ------
@@ -34,19 +35,14 @@ def checked_value(name: str, value: object) -> ParameterValue:
     known = declaration(name)
     if known.type_name.endswith("_array"):
         element = known.type_name.removesuffix("_array")
-        if isinstance(value, bool | int | float | str):
-            value = [value]
+        if value is None or isinstance(value, bool | int | float | str):
+            value = [] if value is None else [value]
         if not _is_list(value):
             raise ParameterError(f"{name}: {_shown(value)} ({type(value).__name__}); need a list of {element}s")
         items = list(cast("Iterable[object]", value))
         return tuple(_checked_scalar(f"{name}[{i}]", item, element, known) for i, item in enumerate(items))
     scalar = cast(ParameterValue, _checked_scalar(name, value, known.type_name, known))
     return scalar.lstrip("/") if known.is_frame and isinstance(scalar, str) else scalar
-
-
-def value_or_empty(name: str, value: object) -> object:
-    """Return a value that ROS gives for a parameter; for a list, no value is an empty list: `[]` has no type in ROS."""
-    return () if value is None and declaration(name).type_name.endswith("_array") else value
 
 
 def is_empty_group(name: str, value: object) -> bool:

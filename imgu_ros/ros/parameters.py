@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import Declaration, Parameters, ParameterValue, declaration, declarations
-from imgu_ros.config.values import checked_value, is_empty_group, parameters_from, value_or_empty
+from imgu_ros.config.values import checked_value, is_empty_group, parameters_from
 from imgu_ros.errors import ImguError, ParameterError, nearest_name
 from imgu_ros.files.frame_reading import check_change
 
@@ -64,7 +64,7 @@ class ParameterServer:
         overrides = node._parameter_overrides
         self._qos_overrides = [name for name in overrides if name.startswith(QOS_PREFIX)]
         given = {
-            name: value_or_empty(name, override.value)
+            name: override.value
             for name, override in overrides.items()
             if name not in FOREIGN and not name.startswith(QOS_PREFIX) and not is_empty_group(name, override.value)
         }
@@ -155,9 +155,7 @@ class ParameterServer:
     def _converted(self, parameter: Parameter) -> Parameter:
         if parameter.name in FOREIGN or parameter.name.startswith(QOS_PREFIX):
             return parameter
-        return ros_parameter(
-            parameter.name, checked_value(parameter.name, value_or_empty(parameter.name, parameter.value))
-        )
+        return ros_parameter(parameter.name, checked_value(parameter.name, parameter.value))
 
     def _is_fixed_as(self, parameter: Parameter) -> bool:
         """Whether it is read-only and has this value."""

@@ -177,7 +177,7 @@ def test_grey_weights_say_which_colour_counts(tmp_path: Path) -> None:
         (["kernel"], "--kernel: none"),
         (["kernel", "--kernel", "1 2; 3 4"], "need odd sides"),
         (["detail", "--levels", "99"], "levels: 99"),
-        (["canny", "-p", "preprocess.gamma:=0.5"], "no part of this command"),
+        (["canny", "-p", "preprocess.gamma:=0.5"], "not used by this command"),
     ],
 )
 def test_bad_options_are_one_line(

@@ -29,8 +29,8 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_demosaic(picture: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ("demosaic", picture, str(tmp_path / "out.png"), "--pattern", "rggb")
-    assert "preprocess.gamma: no part of this command" in refused(capsys, *command, "-p", "preprocess.gamma:=0.5")
-    assert "raw.bands: no part of this command" in refused(capsys, *command, "-p", "raw.bands:=[1]")
+    assert "preprocess.gamma: not used by this command" in refused(capsys, *command, "-p", "preprocess.gamma:=0.5")
+    assert "raw.bands: not used by this command" in refused(capsys, *command, "-p", "raw.bands:=[1]")
     parameters = tmp_path / "params.yaml"  # the whole chain's file is fine
     assert main(["params", "--yaml"]) == 0
     parameters.write_text(capsys.readouterr().out)
@@ -44,7 +44,7 @@ def test_calibrate(picture: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
     bag = tmp_path / "a.mcap"
     bag.touch()
     assert "--pattern: rggb for a bag" in refused(capsys, "calibrate", str(bag), *command, "--pattern", "rggb")
-    assert "tracking.enabled: no part" in refused(
+    assert "tracking.enabled: not used" in refused(
         capsys, "calibrate", picture, *command, "-p", "tracking.enabled:=true"
     )
     assert "none.png: No such file" in refused(capsys, "calibrate", picture, str(tmp_path / "none.png"), *command)
@@ -64,4 +64,4 @@ def test_match(picture: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_bench(capsys: pytest.CaptureFixture[str]) -> None:
     for given in ("camera.info_file:=camera.yaml", "raw.encoding:=bayer_rggb8"):
         name = given.partition(":")[0]
-        assert f"{name}: no part of this command" in refused(capsys, "bench", "-p", given)
+        assert f"{name}: not used by this command" in refused(capsys, "bench", "-p", given)

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imgu_ros.config.files import GivenParameters, parameter_file_text, parse_override, read_parameter_file
+from imgu_ros.config.files import GivenParameters, parameter_file_text, read_parameter_file
 from imgu_ros.config.parameters import Parameters, declarations
+from imgu_ros.config.rcl_parameters import RclParameters
 from imgu_ros.config.values import parameter_values, parameters_from
 from imgu_ros.errors import FileError, ParameterError
 
@@ -16,6 +17,13 @@ from imgu_ros.errors import FileError, ParameterError
 def read(tmp_path, text, node_name="perception"):
     (tmp_path / "p.yaml").write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_parameter_file(tmp_path / "p.yaml", node_name)
+
+
+def parse_override(text: str) -> tuple[str, object]:
+    """Return name and value of "name:=value"."""
+    parameters = RclParameters()
+    name = parameters.add_override(text)
+    return name, parameters.entries(lambda section: True)[name].value
 
 
 VALUES = {

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from imgu_ros.config.components import ReadingParameters
-from imgu_ros.config.files import parse_override, read_parameter_file
+from imgu_ros.config.files import GivenParameters, read_parameter_file
 from imgu_ros.config.parameters import Declaration, Parameters, declarations
 from imgu_ros.config.values import parameter_values, parameters_from
 from imgu_ros.errors import ParameterError
@@ -231,6 +231,16 @@ def test_every_list_is_tried_with_one_value():
     assert {name for name, *_ in ONE_VALUE + TOO_FEW} == lists
 
 
+def offline(*overrides: str, files: Sequence[Path] = ()) -> Parameters:
+    """Return what commands without ROS make of files and overrides."""
+    given = GivenParameters()
+    for file in files:
+        given.add_file(file)
+    for override in overrides:
+        given.add_override(override)
+    return parameters_from(given.values())
+
+
 def value_of(parameters: Parameters, name: str) -> object:
     return parameter_values(parameters)[name]
 
@@ -251,9 +261,8 @@ def test_one_value_serves_as_a_list_of_one(make_node, tmp_path, name, text, expe
     assert tuple(node.get_parameter(name).value) == expected
     assert value_of(node.server.reload(), name) == expected
     # Offline it is the same.
-    offline = parameters_from({**dict(map(parse_override, beside)), **read_parameter_file(file)})
-    assert value_of(offline, name) == expected
-    assert value_of(parameters_from(dict(map(parse_override, (*beside, override)))), name) == expected
+    for parameters in (offline(*beside, files=[file]), offline(*beside, override)):
+        assert value_of(parameters, name) == expected
 
 
 @pytest.mark.parametrize(("name", "text", "said"), TOO_FEW)
@@ -283,7 +292,7 @@ def test_one_value_of_another_type(make_node, override, said):
         make_node(override)
     assert str(caught.value) == said
     with pytest.raises(ParameterError) as caught:
-        parameters_from(dict([parse_override(override)]))
+        offline(override)
     assert str(caught.value) == said
 
 

@@ -232,7 +232,7 @@ def test_the_limits_of_reading_are_parameters(tmp_path, monkeypatch, capsys):
     assert main(["play", "bag", *limits, "--ros-args", "-p", "use_sim_time:=true"]) == 1
     assert given == [(LimitsParameters(message_mb=1000, expansion=7), ["--ros-args", "-p", "use_sim_time:=true"])]
     assert main(["play", "bag", "-p", "limits.picture_mb:=5"]) == 1
-    assert "limits.picture_mb: no part of this command" in capsys.readouterr().err
+    assert "limits.picture_mb: not used by this command" in capsys.readouterr().err
 
 
 def test_the_limits_reach_the_bag(ros_domain, monkeypatch):
