@@ -38,6 +38,11 @@ SIMULATED = {
     "plumb_bob": f"{_SMALL} --seed 7 {_ONE} --distortion plumb_bob",
     "rational": f"{_SMALL} --seed 8 {_ONE} --distortion rational_polynomial",
     "fisheye": f"{_SMALL} --seed 9 {_ONE} --distortion equidistant --encoding mono8",
+    "rgb16": f"{_SMALL} --seed 12 {_ONE} --encoding rgb16 --bits 14",
+    "bayer16_big_endian": f"{_SMALL} --seed 13 {_ONE} --bits 10 --pattern bggr --big-endian --row-padding 6",
+    "gbrg": f"{_SMALL} --seed 14 {_ONE} --pattern gbrg --ev=0,-2,1 --exposure-ms 3",
+    "thin_prism": f"{_SMALL} --seed 15 {_ONE} --distortion thin_prism --encoding mono8",
+    "tilted": f"{_SMALL} --seed 16 {_ONE} --distortion tilted --encoding mono8",
     "targets": f"--size 480x360 --frames 10 --seed 10 {_FIVE} --storage sqlite3",
     "large": f"--size 1000x640 --frames 6 --seed 11 {_ONE} --compression zstd",
 }
@@ -69,6 +74,7 @@ def _pixels(message: Any) -> np.ndarray:
 
 def _set_pixels(message: Any, pixels: np.ndarray, encoding: str) -> None:
     message.encoding = encoding
+    # Of planes, pixels have more rows than the picture.
     message.step = pixels.nbytes // pixels.shape[0]
     message.is_bigendian = 0
     message.data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
@@ -98,6 +104,16 @@ def compressed(suffix: str, form: str) -> Callable[[Recording], Recording]:
         return recording
 
     return change
+
+
+def compressed16(recording: Recording) -> Recording:
+    """Make CompressedImage messages of 16 bits of mono8 images, as PNG."""
+    for recorded in _images(recording):
+        data = cv2.imencode(".png", _pixels(recorded.message).astype(np.uint16) * 200)[1].reshape(-1)
+        header, form = recorded.message.header, "mono16; png compressed "
+        recorded.message = make("sensor_msgs/msg/CompressedImage", header=header, format=form, data=data)
+        recorded.topic += "/compressed"
+    return recording
 
 
 def yuyv(rgb: np.ndarray, luma_first: bool) -> np.ndarray:
@@ -157,6 +173,86 @@ def two_cameras(recording: Recording) -> Recording:
     return both
 
 
+def recalibrated(recording: Recording) -> Recording:
+    """Let the camera change its focal length, lose its calibration, and get a useless one."""
+    infos = [recorded for recorded in recording if recorded.topic == CAMERA_INFO]
+    for recorded in infos[4:7]:
+        recorded.message.k[[0, 4]] *= 1.05
+    for recorded in infos[7:9]:
+        recorded.message.k[:] = 0.0
+    for recorded in infos[9:11]:
+        recorded.message.distortion_model = "barrel"
+        recorded.message.d = np.array([0.1, 0.2])
+    return recording
+
+
+def windowed(recording: Recording) -> Recording:
+    """Say that images are a window of a sensor of 720 x 540 px, binned 2 x 2."""
+    for recorded in recording:
+        message = recorded.message
+        if recorded.topic == CAMERA_INFO:
+            message.width, message.height, message.binning_x, message.binning_y = 720, 540, 2, 2
+            roi = message.roi
+            roi.x_offset, roi.y_offset, roi.width, roi.height = 40, 30, 640, 480
+            message.k[:] = np.array([[2, 0, 40.5], [0, 2, 30.5], [0, 0, 1]]).dot(message.k.reshape(3, 3)).reshape(-1)
+    return recording
+
+
+def rectified(recording: Recording) -> Recording:
+    """Let P alone be right for the images."""
+    for recorded in recording:
+        if recorded.topic == CAMERA_INFO:
+            recorded.message.p[:] = np.pad(recorded.message.k.reshape(3, 3), ((0, 0), (0, 1))).reshape(-1)
+            recorded.message.k[[0, 4]] *= 1.3
+    return recording
+
+
+def two_topics(recording: Recording) -> Recording:
+    """Let a second topic carry images upside down, and a thermal camera's."""
+    both: Recording = []
+    for recorded in recording:
+        both.append(recorded)
+        if recorded.topic == IMAGE:
+            other, thermal = copy.deepcopy(recorded), copy.deepcopy(recorded)
+            other.topic, thermal.topic = "/rear/image_raw", "/thermal/image_raw"
+            other.message.data = other.message.data[::-1].copy()
+            _set_pixels(thermal.message, _pixels(thermal.message).astype(np.uint16) * 20, "16UC1")
+            both += [other, thermal]
+    return both
+
+
+def mislabelled(recording: Recording) -> Recording:
+    """Call mosaics mono8, and give their frame a long name with strange characters."""
+    for recorded in recording:
+        recorded.message.header.frame_id = "=camera\t\u202e" + "x" * 2000
+        if recorded.topic == IMAGE:
+            recorded.message.encoding = "mono8"
+    return recording
+
+
+def long(recording: Recording) -> Recording:
+    """Play the recording forwards and backwards until it has 520 images."""
+    images, infos = _images(recording), [recorded for recorded in recording if recorded.topic == CAMERA_INFO]
+    played: Recording = []
+    for number in range(520):
+        index = number % (2 * len(images) - 2)
+        index = min(index, 2 * len(images) - 2 - index)
+        for recorded in (infos[index], images[index]):
+            again = copy.deepcopy(recorded)
+            again.time_ns = images[0].time_ns + number * 40_000_000
+            _set_stamp(again, again.time_ns)
+            played.append(again)
+    return played
+
+
+def planes(rgb: np.ndarray) -> np.ndarray:
+    """Return (H * 3 / 2, W) YUV 4:2:0 with interleaved chroma."""
+    i420 = cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_I420)
+    height = rgb.shape[0]
+    u, v = i420[height : height * 5 // 4].reshape(-1), i420[height * 5 // 4 :].reshape(-1)
+    return np.concatenate([i420[:height].reshape(-1), np.column_stack([u, v]).reshape(-1)]).reshape(i420.shape)
+
+
 def _stamp_ns(recorded: Recorded) -> int:
     stamp = recorded.message.header.stamp
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
@@ -184,6 +280,22 @@ CHANGED = {
     "yuyv": Changed("rgb8", encoded("yuv422_yuy2", lambda rgb: yuyv(rgb, True))),
     "32FC1": Changed("mono8", encoded("32FC1", lambda grey: (grey / 255).astype(np.float32))),
     "8UC5": Changed("rgb8", encoded("8UC5", lambda rgb: np.dstack([rgb, rgb[..., :2]]))),
+    "bgra8": Changed("rgb8", encoded("bgra8", lambda rgb: cv2.cvtColor(rgb, cv2.COLOR_RGB2BGRA))),
+    "argb8": Changed("rgb8", encoded("argb8", lambda rgb: np.dstack([rgb[..., :1] * 0, rgb]))),
+    "bgr16": Changed("rgb8", encoded("bgr16", lambda rgb: rgb[..., ::-1].astype(np.uint16) * 257)),
+    "rgba16": Changed(
+        "rgb8", encoded("rgba16", lambda rgb: cv2.cvtColor(rgb.astype(np.uint16) * 16, cv2.COLOR_RGB2RGBA))
+    ),
+    "nv12": Changed("rgb8", encoded("nv12", planes)),
+    "16UC1": Changed("mono8", encoded("16UC1", lambda grey: grey.astype(np.uint16) * 100 + 500)),
+    "64FC3": Changed("rgb8", encoded("64FC3", lambda rgb: rgb / 3.0)),
+    "png16": Changed("mono8", compressed16),
+    "recalibrated": Changed("bayer8", recalibrated),
+    "windowed": Changed("bayer8", windowed),
+    "rectified": Changed("bayer8", rectified),
+    "two_topics": Changed("mono8", two_topics),
+    "mislabelled": Changed("bayer8", mislabelled),
+    "long": Changed("mono8", long),
     "jpeg": Changed("rgb8", compressed(".jpg", "rgb8; jpeg compressed bgr8")),
     "png": Changed("rgb8", compressed(".png", "rgb8; png compressed bgr8")),
     "uncalibrated": Changed("bayer8", without_camera_info),
@@ -205,8 +317,8 @@ class Case:
     ----------
     name : of the case
     recording : that it needs
-    options : of `imgu replay` besides the recording's own parameter file; or a whole command line, in which `{out}` is
-        the folder for results and `{in}` that with recordings and pictures
+    options : of `imgu replay` besides the recording's own parameter file; or a whole command line. `{out}` is the
+        folder for results and `{in}` that with recordings and pictures
     is_quick : belongs to `--quick`
     """
 
@@ -222,7 +334,8 @@ class Case:
         bag = recordings / self.recording
         bag = bag if bag.exists() else bag.with_suffix(".bag")
         parameters = ["--params-file", str(recordings / f"{self.recording}.yaml")]
-        return ["replay", str(bag), "--out", str(out), *parameters, *self.options.split()]
+        options = [part.format(out=out, **{"in": recordings}) for part in self.options.split()]
+        return ["replay", str(bag), "--out", str(out), *parameters, *options]
 
 
 def _choices(recording: str, parameter: str, values: str, *more: str) -> list[Case]:
@@ -240,6 +353,21 @@ _MAP = (
     + ",".join(f"{x},{y},0.0,0.0,0.0,0.0,1.0" for x, y in ((0.0, 0.0), (0.6, 0.0), (1.2, 0.0), (0.0, 0.6), (0.6, 0.6)))
     + "]"
 )
+_FRAMES = "-p frames.camera:=eye -p frames.map:=world -p frames.target_prefix:=print_ -p tf.root_frame:=base"
+_FRAMES += " -p path.max_length:=4"
+#: Variances of fx, fy, cx, cy and five coefficients of distortion, without correlations.
+_COVARIANCE = str(np.diag([4.0, 4.0, 1.0, 1.0, 1e-4, 1e-4, 1e-6, 1e-6, 1e-4]).reshape(-1).tolist()).replace(" ", "")
+#: As `imgu calibrate` writes it: of the camera that `imgu simulate` has by default.
+_CAMERA_FILE = """image_width: 320
+image_height: 240
+camera_name: camera
+camera_matrix: {rows: 3, cols: 3, data: [270.0, 0.0, 159.5, 0.0, 270.0, 119.5, 0.0, 0.0, 1.0]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.01, -0.01, 0.0, 0.0, 0.0]}
+rectification_matrix: {rows: 3, cols: 3, data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]}
+projection_matrix: {rows: 3, cols: 4, data: [270.0, 0.0, 159.5, 0.0, 0.0, 270.0, 119.5, 0.0, 0.0, 0.0, 1.0, 0.0]}
+calibration_covariance: {rows: 4, cols: 4, data: [1.0, 0.9, 0, 0, 0.9, 1.0, 0, 0, 0, 0, 0.3, 0, 0, 0, 0, 0.3]}
+"""
 
 # fmt: off
 CASES = (
@@ -253,6 +381,18 @@ CASES = (
     Case("rgba8", "rgba8"),
     Case("uyvy", "uyvy"),
     Case("yuyv", "yuyv"),
+    Case("bgra8", "bgra8"),
+    Case("argb8", "argb8", "-p raw.gains:=[1.2,1.0,0.8]"),
+    Case("rgb16", "rgb16", "-p raw.white_level:=16000.0 -p raw.black_level:=5.0"),
+    Case("bgr16", "bgr16"),
+    Case("rgba16", "rgba16"),
+    Case("bayer16_big_endian", "bayer16_big_endian", "-p demosaic.method:=malvar --record image_color"),
+    Case("gbrg", "gbrg", "-p demosaic.method:=menon --record image_color"),
+    Case("nv12", "nv12"),
+    Case("16UC1", "16UC1"),
+    Case("64FC3", "64FC3"),
+    Case("png16", "png16"),
+    Case("mislabelled", "mislabelled", "-p raw.encoding:=bayer_rggb8"),
     Case("32FC1", "32FC1"),
     Case("8UC5", "8UC5"),
     Case("8UC5_of_bands", "8UC5", "-p raw.band_mode:=weighted -p raw.bands:=[0,4] -p raw.band_weights:=[1.0,2.0]"),
@@ -265,7 +405,19 @@ CASES = (
     Case("plumb_bob", "plumb_bob", is_quick=True),
     Case("rational", "rational"),
     Case("fisheye", "fisheye", is_quick=True),
-    Case("targets", "targets", f"-p publish_tf:=true {_MAP}", is_quick=True),
+    Case("thin_prism", "thin_prism"),
+    Case("tilted", "tilted"),
+    Case("recalibrated", "recalibrated"),
+    Case("windowed", "windowed"),
+    Case("rectified", "rectified", "-p camera.rectified:=true"),
+    Case("camera_file", "uncalibrated", "-p camera.info_file:={in}/camera.yaml", is_quick=True),
+    Case("camera_covariance", "plumb_bob", f"-p camera.covariance:={_COVARIANCE} --truth {{in}}/plumb_bob/truth.csv"),
+    Case("two_topics", "two_topics", "-p image_topic:=/rear/image_raw -p camera_info_topic:=/camera/camera_info"),
+    Case("topic_chosen", "two_topics"),
+    Case("long", "long", "-p seed:=7"),
+    Case("targets", "targets", f"-p publish_tf:=true {_MAP} {_FRAMES} --record path", is_quick=True),
+    Case("target_files", "targets", "-p targets.images:=[{in}/picture0.jpg,{in}/picture1.tif,{in}/picture2.ppm,"
+         "{in}/picture3.bmp,{in}/picture4.png] -p targets.names:=[a,b,c,d,e] -p tracking.search_every:=2"),
     Case("targets_searched", "targets", f"{_SEARCHED} -p search.thorough:=false"),
     Case("large", "large", is_quick=True),
     Case("large_searched", "large", _SEARCHED),
@@ -281,6 +433,14 @@ CASES = (
     Case("zstd_message", "zstd_message"),
     Case("not_refined", "bayer8", "-p refinement.enabled:=false", is_quick=True),
     Case("not_refined_searched", "bayer8", f"{_SEARCHED} -p refinement.enabled:=false"),
+    Case("numbers_tracked", "gbrg", "-p refinement.max_points:=60 -p refinement.window_px:=9 "
+         "-p pose.ambiguity_ratio:=0.5 -p tracking.search_every:=1 --truth {in}/gbrg/truth.csv"),
+    Case("numbers_searched", "large", f"{_SEARCHED} -p pyramid.levels:=4 -p pyramid.kind:=fine "
+         "-p pyramid.max_side_px:=500 -p pyramid.scales_per_octave:=2 -p keypoints.max_count:=300 "
+         "-p keypoints.detector:=fast -p keypoints.fast_arc:=10 -p matching.ratio:=0.95 -p matching.mutual:=false "
+         "-p homography.threshold_px:=2.0 -p homography.confidence:=0.99 -p homography.max_iterations:=200 "
+         "-p homography.min_inliers:=12 -p search.max_side_px:=700 -p search.max_count:=900 -p seed:=5"),
+    Case("guided_distorted", "plumb_bob", f"{_SEARCHED} -p matching.guided:=true -p refinement.enabled:=false"),
     Case("guided", "bayer8", f"{_SEARCHED} -p matching.guided:=true"),
     *_choices("bayer8", "demosaic.method", "edge_aware malvar hamilton_adams menon residual"),
     *_choices("bayer8", "pyramid.kind", "fine laplacian", _NO_TRACK),
@@ -297,7 +457,8 @@ CASES = (
     *_choices("mono8", "preprocess.equalisation", "global clahe"),
     *_choices("mono8", "preprocess.edges", "strength", _NO_TRACK),
     *_choices("mono8", "preprocess.derivative", "scharr gaussian", _NO_TRACK, "preprocess.edges:=strength"),
-    *_choices("mono8", "preprocess.threshold", "fixed otsu", _NO_TRACK),
+    *_choices("mono8", "preprocess.threshold", "fixed otsu", _NO_TRACK, "preprocess.threshold_value:=100.0",
+              "preprocess.threshold_bins:=64"),
     Case("preprocess", "mono8", "-p preprocess.smoothing_px:=1.0 -p preprocess.contrast:=1.3 -p preprocess.gamma:=0.7 "
          "-p preprocess.brightness:=-10.0"),
     Case("match", "mono8", "match {in}/picture0.png {in}/mono8.png --json {out}/match.json --draw {out}/drawn.png "
@@ -352,6 +513,9 @@ def make_recordings(
     templates = [folder / f"picture{number}.png" for number in range(5)]
     for number, path in enumerate(templates):
         make_template(number, path)
+    for path, suffix in zip(templates, (".jpg", ".tif", ".ppm", ".bmp"), strict=False):
+        cv2.imwrite(str(path.with_suffix(suffix)), cv2.imread(str(path)))
+    (folder / "camera.yaml").write_text(_CAMERA_FILE)
     bases = {CHANGED[name].base if name in CHANGED else name for name in missing} & set(SIMULATED)
     bases = {name for name in bases if not (folder / f"{name}.yaml").exists()}
     simulate(
@@ -404,8 +568,9 @@ def make(type_name: str, **values: Any) -> Any:
 
 def _read(folder: Path) -> Recording:
     with AnyReader([folder]) as reader:
+        # Arrays of a copy can be written to.
         return [
-            Recorded(connection.topic, time_ns, _STORE.deserialize_cdr(data, connection.msgtype))
+            Recorded(connection.topic, time_ns, copy.deepcopy(_STORE.deserialize_cdr(data, connection.msgtype)))
             for connection, time_ns, data in reader.messages()
         ]
 
