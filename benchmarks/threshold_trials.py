@@ -24,8 +24,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EstimationError
 from imgu_ros.frame import Frame
-from imgu_ros.image.frame_development import develop_frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage, develop_frame
 from imgu_ros.image_files.images import read_image
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference import verification
@@ -442,10 +441,10 @@ def confirmation(quick: bool) -> Run:
     return run
 
 
-def _pictures(frame: Frame, parameters: Parameters) -> GreyPyramid:
+def _pictures(frame: Frame, parameters: Parameters) -> FrameImage:
     development = develop_frame(frame, DevelopmentParameters.of(parameters))
-    assert development.developed is not None, development.reason
-    return GreyPyramid(development.developed)
+    assert development.image is not None, development.reason
+    return development.image
 
 
 # --- covariance

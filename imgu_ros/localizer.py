@@ -15,8 +15,7 @@ from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.errors import EstimationError, ImguError
 from imgu_ros.frame import Frame
-from imgu_ros.image.frame_development import Development, develop_frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.reference import Reference
@@ -107,7 +106,7 @@ class Localizer:
         time_ns = memory.time_of(frame.stamp_ns)
         context = FrameContext(frame, development or develop_frame(frame, self._development), self._extract)
         try:
-            developed = context.developed
+            image = context.image
             results = self._follow(context, memory, time_ns)
             missing = [each for name, each in self._references.items() if name not in results]
             is_due = self._search_is_due(memory, missing)
@@ -124,7 +123,7 @@ class Localizer:
             Result(
                 frame,
                 results,
-                developed=developed,
+                developed=image,
                 pyramid=features.pyramid if features else None,
                 keypoints=features.described.keypoints if features else None,
                 descriptors=features.described.descriptors if features else None,
@@ -132,7 +131,7 @@ class Localizer:
             )
         )
 
-    def _extract(self, image: GreyPyramid, clock: StageClock) -> Features:
+    def _extract(self, image: FrameImage, clock: StageClock) -> Features:
         return find_features(image, self._parameters, self._extractor, clock)
 
     def _know(self, references: Iterable[Reference]) -> None:

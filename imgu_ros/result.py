@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from imgu_ros.frame import Frame
-from imgu_ros.image.development import Developed
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.types import Image, Mask, Points
 from imgu_ros.vision.camera.calibration_test import CalibrationTest
 from imgu_ros.vision.camera.pose import Pose
@@ -166,7 +166,7 @@ class Result:
     frame: Frame
     references: Mapping[str, ReferenceResult]
     reason: str = ""
-    developed: Developed | None = None
+    developed: FrameImage | None = None
     pyramid: Pyramid | None = None
     keypoints: Keypoints | None = None
     descriptors: Image | None = None

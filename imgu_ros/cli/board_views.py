@@ -13,7 +13,7 @@ from imgu_ros.bags.recorded_images import recorded_images
 from imgu_ros.cli.picture_layout import picture_layout
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, FileError, ImguError, ParameterError, TooFewPoints
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.image_files.images import read_image_file
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.camera.calibration import FEWEST_VIEWS

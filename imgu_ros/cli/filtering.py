@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.image.development import grey_of
+from imgu_ros.image.frame_image import grey_of
 from imgu_ros.types import Image, Mask
 from imgu_ros.vision.processing.borders import Border
 from imgu_ros.vision.processing.convolution import convolve, mean_filtered

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.config.parameters import Parameters, PreprocessParameters
-from imgu_ros.image.grey_pyramid import GreyPyramid, most_halvings
+from imgu_ros.image.frame_image import FrameImage, most_halvings
 from imgu_ros.image.preprocessing import preprocessed, with_edges
 from imgu_ros.result import Stage
 from imgu_ros.stage_clock import StageClock
@@ -37,7 +37,7 @@ class Features:
 
 
 def find_features(
-    pictures: GreyPyramid, parameters: Parameters, extractor: FeatureExtractor, clock: StageClock
+    pictures: FrameImage, parameters: Parameters, extractor: FeatureExtractor, clock: StageClock
 ) -> Features:
     """Build a frame's pyramid, detect its keypoints and describe them.
 
@@ -127,7 +127,7 @@ def reduction_of(shape: tuple[int, int], parameters: Parameters) -> Reduction:
     return Reduction(halvings, small[0], small[1], columns * step, rows * step)
 
 
-def reduced_picture(pictures: GreyPyramid, parameters: Parameters) -> Reduced:
+def reduced_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
     """Return the picture in which keypoints are sought: straight from the mosaic where it is small and as it came."""
     p = parameters.pyramid
     reduction = reduction_of(pictures.shape, parameters)
@@ -143,7 +143,7 @@ def reduced_picture(pictures: GreyPyramid, parameters: Parameters) -> Reduced:
     return Reduced(image, full_size)
 
 
-def plain_picture(pictures: GreyPyramid, parameters: Parameters) -> Reduced:
+def plain_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
     """Return the picture from which `reduced_picture` can be made elsewhere: the same, or all of a frame's pixels.
 
     Steps of `preprocess` come before the reduction, and are left to whoever makes the pyramid.

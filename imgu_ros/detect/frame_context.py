@@ -10,9 +10,7 @@ from dataclasses import replace
 from imgu_ros.detect.features import Features
 from imgu_ros.errors import ShapeError
 from imgu_ros.frame import Frame
-from imgu_ros.image.development import Developed
-from imgu_ros.image.frame_development import Development
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import Development, FrameImage
 from imgu_ros.result import Result, Stage
 from imgu_ros.stage_clock import StageClock
 
@@ -33,36 +31,28 @@ class FrameContext:
     """
 
     def __init__(
-        self, frame: Frame, development: Development, extract: Callable[[GreyPyramid, StageClock], Features]
+        self, frame: Frame, development: Development, extract: Callable[[FrameImage, StageClock], Features]
     ) -> None:
         self._start_ns = time.perf_counter_ns() - development.took_ns
         self.frame = frame
         self._development = development
-        self._image: GreyPyramid | None = None
         self._extract = extract
         self._features: Features | None = None
         self.clock = StageClock()
         self.clock.times_ns[Stage.DEVELOP] = development.took_ns
 
     @property
-    def developed(self) -> Developed:
-        """The developed image.
+    def image(self) -> FrameImage:
+        """The frame's image.
 
         Raises
         ------
         ShapeError
             If the frame could not be developed.
         """
-        if self._development.developed is None:
+        if self._development.image is None:
             raise ShapeError(self._development.reason)
-        return self._development.developed
-
-    @property
-    def image(self) -> GreyPyramid:
-        """The grey image, at full resolution and halved; raises as `developed`."""
-        if self._image is None:
-            self._image = GreyPyramid(self.developed)
-        return self._image
+        return self._development.image
 
     @property
     def features(self) -> Features:

@@ -13,7 +13,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.guided_matching import Guided
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
 from imgu_ros.frame import Frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import Located, bending, require_plausible
 from imgu_ros.reasons import why_not_found
 from imgu_ros.reference.reference import Reference
@@ -59,7 +59,7 @@ class Sight:
     """
 
     frame: Frame
-    pictures: GreyPyramid | None
+    pictures: FrameImage | None
     unit_px: float
 
 
@@ -208,7 +208,7 @@ def _fitted(agreed: _Agreed, matches: ReferenceMatches, parameters: Parameters) 
 
 
 def _aligned(
-    target: Reference, pictures: GreyPyramid, H: Matrix3, lens: Camera | None, parameters: Parameters
+    target: Reference, pictures: FrameImage, H: Matrix3, lens: Camera | None, parameters: Parameters
 ) -> Alignment | None:
     """Return the refined location; None when the patches do not agree."""
     try:

@@ -15,7 +15,7 @@ from imgu_ros.detect.features import Features
 from imgu_ros.detect.guided_matching import guided
 from imgu_ros.detect.robust_fit import Sight, located
 from imgu_ros.frame import Frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import bending
 from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import PlanarReference
@@ -47,7 +47,7 @@ class Searched:
     """
 
     frame: Frame
-    pictures: GreyPyramid
+    pictures: FrameImage
     features: Features
     look: SearchPass = SearchPass.FIRST
 

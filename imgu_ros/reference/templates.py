@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.image.development import grey_of
+from imgu_ros.image.frame_image import grey_of
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
 from imgu_ros.vision.keypoints.spreading import spread

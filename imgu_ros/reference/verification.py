@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import NotConfirmed
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import AlignmentLevel
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
@@ -57,7 +57,7 @@ FINE = Comparison(cells=32, samples=5, alike=0.75, fewest=24, needed=0.325)
 COARSE = Comparison(cells=16, samples=8, alike=0.6, fewest=12, needed=0.45)
 
 
-def require_confirmed(pictures: GreyPyramid, target: Reference, H: Matrix3, camera: Camera | None) -> float:
+def require_confirmed(pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None) -> float:
     """Return the share of a target in view that looks as it should where an estimate says it is.
 
     Parameters
@@ -82,7 +82,7 @@ def require_confirmed(pictures: GreyPyramid, target: Reference, H: Matrix3, came
 
 
 def confirmed_share(
-    pictures: GreyPyramid, target: Reference, H: Matrix3, camera: Camera | None, comparison: Comparison = FINE
+    pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None, comparison: Comparison = FINE
 ) -> float:
     """Return the share of a target's cells in view that the frame shows, 0 to 1; 0 where too few are in view.
 
@@ -112,7 +112,7 @@ def confirmed_share(
     return _alike(_drawn(octaves, A, size), seen, in_view.ravel(), comparison)
 
 
-def _window_in_view(pictures: GreyPyramid, H: Matrix3, camera: Camera | None, width: int, height: int) -> Points | None:
+def _window_in_view(pictures: FrameImage, H: Matrix3, camera: Camera | None, width: int, height: int) -> Points | None:
     """Return the smallest rectangle of the template, (2, 2) px, that holds what is in view; None when nothing is."""
     count = 25
     x, y = (np.linspace(-0.5, side - 0.5, count) for side in (width, height))
@@ -153,7 +153,7 @@ def _drawn(octaves: Sequence[AlignmentLevel], A: Matrix3, size: tuple[int, int])
     return cv2.warpAffine(level.image, M[:2], size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _seen(pictures: GreyPyramid, H: Matrix3, camera: Camera | None, size: tuple[int, int], area: float) -> Image:
+def _seen(pictures: FrameImage, H: Matrix3, camera: Camera | None, size: tuple[int, int], area: float) -> Image:
     """Return the frame at the samples, from the picture whose pixels are about as far apart."""
     halvings = min(round(math.log2(max(math.sqrt(area), 1.0))), pictures.most_halvings)
     picture, s = pictures.halved(halvings), 0.5**halvings

@@ -16,7 +16,7 @@ from imgu_ros.config.components import DevelopmentParameters, RecordedFramesPara
 from imgu_ros.errors import EncodingError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
-from imgu_ros.image.frame_development import Development, develop_frame
+from imgu_ros.image.frame_image import Development, develop_frame
 from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.header_checks import HeaderChecks
 from imgu_ros.messages.pairing import Pair, Pairing

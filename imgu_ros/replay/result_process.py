@@ -24,7 +24,7 @@ import numpy as np
 
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import BagError, ImguError
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.replay.background_worker import BackgroundWorker
 from imgu_ros.replay.result_files import BagFiles, ReplayOutput, ResultItem, RowFiles
 from imgu_ros.replay.statistics import FinishedReplay

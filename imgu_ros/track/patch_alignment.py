@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.errors import NoConsensus
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.reference.reference import Reference
 from imgu_ros.track.patch_selection import Bank, Reduction, fitting_bank, in_view, mapped, sheet_of
 from imgu_ros.types import Floats, Mask, Matrix3, Points
@@ -125,7 +125,7 @@ class AlignmentOptions:
 
 
 def follow_patches(
-    pictures: GreyPyramid, halvings: int, target: Reference, H: Matrix3, camera: Camera | None, effort: AlignmentOptions
+    pictures: FrameImage, halvings: int, target: Reference, H: Matrix3, camera: Camera | None, effort: AlignmentOptions
 ) -> Followed:
     """Find a target's patches in a frame's picture.
 

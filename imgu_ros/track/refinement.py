@@ -10,7 +10,7 @@ import numpy as np
 
 from imgu_ros.config.parameters import RefinementParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import seen_outline
 from imgu_ros.reference.reference import Reference
 from imgu_ros.track.patch_alignment import AlignmentOptions, Followed, follow_patches
@@ -76,7 +76,7 @@ class Alignment:
 
 
 def refine_by_alignment(
-    pictures: GreyPyramid,
+    pictures: FrameImage,
     target: Reference,
     H: Matrix3,
     camera: Camera | None,
@@ -131,7 +131,7 @@ def refine_by_alignment(
 
 
 def _reduced_instead(
-    pictures: GreyPyramid,
+    pictures: FrameImage,
     target: Reference,
     found: Followed,
     camera: Camera | None,
@@ -171,7 +171,7 @@ def _ladder(first: int) -> list[int]:
     return [*range(first, 0, -_STRIDE), 0]
 
 
-def _first_halvings(pictures: GreyPyramid, target: Reference, H: Matrix3, reach_px: float) -> int:
+def _first_halvings(pictures: FrameImage, target: Reference, H: Matrix3, reach_px: float) -> int:
     """Return how often to halve the frame so that patches bridge `reach_px`, and the target is not too small."""
     wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
     if wanted == 0:

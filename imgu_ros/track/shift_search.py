@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.errors import NoConsensus
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import AlignmentLevel
 from imgu_ros.types import Matrix3
@@ -25,7 +25,7 @@ _MIN_SIMILARITY = 0.3
 
 
 def shifted_homography(
-    pictures: GreyPyramid, target: Reference, H: Matrix3, camera: Camera | None, reach_px: float
+    pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None, reach_px: float
 ) -> Matrix3:
     """Move a homography by the shift in the target's plane at which the frame looks most like the target.
 

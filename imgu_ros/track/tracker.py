@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EstimationError, NoConsensus
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import Located, bending, require_plausible
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
@@ -33,7 +33,7 @@ _LONGEST_SHIFT = 0.1
 
 
 def follow(
-    target: Reference, track: Track, pictures: GreyPyramid, stamp_ns: int, camera: Camera | None, parameters: Parameters
+    target: Reference, track: Track, pictures: FrameImage, stamp_ns: int, camera: Camera | None, parameters: Parameters
 ) -> Alignment:
     """Find a target where its track leads.
 

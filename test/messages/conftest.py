@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.frame import Frame
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.result import PoseStatus, ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.formation.cfa import BayerPattern

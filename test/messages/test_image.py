@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import EncodingError
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.messages.encodings import encoding_for, encoding_named, is_image_encoding
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import decode_image, image_message

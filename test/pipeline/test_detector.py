@@ -13,9 +13,7 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.detect.features import find_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.search_passes import SearchPass
-from imgu_ros.image.development import develop
-from imgu_ros.image.frame_development import develop_frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import develop, develop_frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.features import extractor_options, thorough_parameters
 from imgu_ros.reference.templates import TargetImage
@@ -139,7 +137,7 @@ def test_keypoints_of_a_reduced_frame_lie_where_they_are(size: tuple[int, int]) 
     raw = RawImage(pixels, PixelLayout(ColorModel.MONO))
     parameters = parameters_from({})
     for p in (parameters, thorough_parameters(parameters)):
-        pictures = GreyPyramid(develop(raw, p.raw, p.demosaic))
+        pictures = develop(raw, p.raw, p.demosaic)
         features = find_features(pictures, p, make_extractor(extractor_options(p)), StageClock())
         assert max(features.pyramid.levels[0].image.shape) <= p.pyramid.max_side_px
         keypoints = features.described.keypoints

@@ -6,7 +6,7 @@ import pytest
 
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import ShapeError
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.vision.formation.cfa import BayerPattern, mosaic
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
@@ -318,7 +318,7 @@ def test_luma_is_grey_of_a_display():
     assert (luma.is_linear, mono.is_linear) == (False, True)
     np.testing.assert_array_equal(luma.grey, pixels)
     np.testing.assert_array_equal(luma.color(), np.dstack([pixels] * 3))
-    np.testing.assert_array_equal(luma.halved(), mono.halved())
+    np.testing.assert_array_equal(luma.halved(1), mono.halved())
 
 
 CHANNELS = {

@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import EstimationError, NoConsensus
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import AlignmentPictures, AlignmentPyramids, TargetImage
@@ -29,10 +28,10 @@ SIZE = (640, 480)
 EFFORT = AlignmentOptions(window_px=11, most=200, fewest=8, steps=8, enough_px=0.1)
 
 
-def pictures_of(frame: SimulatedFrame, pixels: Image | None = None) -> GreyPyramid:
+def pictures_of(frame: SimulatedFrame, pixels: Image | None = None) -> FrameImage:
     image = frame.frame.image
     raw = RawImage(image.pixels if pixels is None else pixels, image.layout)
-    return GreyPyramid(develop(raw, RawParameters(), DemosaicParameters()))
+    return develop(raw, RawParameters(), DemosaicParameters())
 
 
 def shifted(H: np.ndarray, x: float, y: float) -> np.ndarray:
@@ -82,8 +81,8 @@ def test_squares_of_the_mosaic_show_what_the_picture_shows(
     frame = next(simulate_sequence(simulation, target_images[:1]))
     H = shifted(frame.truths[0].H, 1.2, -0.7)
     developed: list[bool] = []
-    whole = GreyPyramid.halved
-    monkeypatch.setattr(GreyPyramid, "halved", lambda self, times: developed.append(True) or whole(self, times))
+    whole = FrameImage.halved
+    monkeypatch.setattr(FrameImage, "halved", lambda self, times: developed.append(True) or whole(self, times))
     of_squares = follow_patches(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert not developed
     monkeypatch.setattr(patch_view, "_SHEET_SHARE", 0.0)

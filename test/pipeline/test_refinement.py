@@ -11,8 +11,7 @@ import pytest
 
 from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters, RefinementParameters
 from imgu_ros.errors import EstimationError, NoConsensus
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import develop
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, simulate_sequence
@@ -74,7 +73,7 @@ def aligned(
     min_points: int = 8,
     parameters: RefinementParameters | None = None,
 ) -> Alignment:
-    pictures = GreyPyramid(develop(RawImage(pixels, MONO), RawParameters(), DemosaicParameters()))
+    pictures = develop(RawImage(pixels, MONO), RawParameters(), DemosaicParameters())
     parameters = parameters or Parameters().refinement
     return refine_by_alignment(pictures, target, H, lens, parameters, min_points, reach_px)
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import NoConsensus
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
@@ -26,8 +25,8 @@ BAYER = PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)
 MODELS = [None, DistortionModel.PLUMB_BOB, DistortionModel.EQUIDISTANT]
 
 
-def pictures_of(pixels: Image) -> GreyPyramid:
-    return GreyPyramid(develop(RawImage(pixels, BAYER), RawParameters(), DemosaicParameters()))
+def pictures_of(pixels: Image) -> FrameImage:
+    return develop(RawImage(pixels, BAYER), RawParameters(), DemosaicParameters())
 
 
 @pytest.fixture(scope="module")

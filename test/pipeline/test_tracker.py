@@ -11,8 +11,7 @@ import pytest
 from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EstimationError
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference_kinds import prepare_references
@@ -39,10 +38,10 @@ def target(targets: tuple[Reference, ...]) -> Reference:
     return targets[0]
 
 
-def pictures_of(frame: SimulatedFrame, pixels: Image | None = None) -> GreyPyramid:
+def pictures_of(frame: SimulatedFrame, pixels: Image | None = None) -> FrameImage:
     image = frame.frame.image
     raw = RawImage(image.pixels if pixels is None else pixels, image.layout)
-    return GreyPyramid(develop(raw, RawParameters(), DemosaicParameters()))
+    return develop(raw, RawParameters(), DemosaicParameters())
 
 
 def shifted(H: Matrix3, x: float, y: float) -> Matrix3:

@@ -13,8 +13,7 @@ import pytest
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import NoConsensus
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
@@ -26,7 +25,7 @@ from imgu_ros.types import Matrix3
 from imgu_ros.vision.projective.transform import transform
 
 
-def pictures_of(simulated: SimulatedFrame, covered: np.ndarray | None = None) -> GreyPyramid:
+def pictures_of(simulated: SimulatedFrame, covered: np.ndarray | None = None) -> FrameImage:
     """The frame's pictures, a convex part of it painted over by a texture of its own."""
     image = simulated.frame.image
     pixels = image.pixels.copy()
@@ -36,7 +35,7 @@ def pictures_of(simulated: SimulatedFrame, covered: np.ndarray | None = None) ->
         noise = cv2.resize(np.random.default_rng(0).integers(0, 256, (60, 80), np.uint8), pixels.shape[::-1])
         pixels[mask > 0] = noise[mask > 0]
     p = Parameters()
-    return GreyPyramid(develop(replace(image, pixels=pixels), p.raw, p.demosaic))
+    return develop(replace(image, pixels=pixels), p.raw, p.demosaic)
 
 
 def part(target: Reference, H: Matrix3, share: float) -> np.ndarray:

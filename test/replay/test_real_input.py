@@ -16,7 +16,7 @@ from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.image_files.images import read_raw_image, write_image
 from imgu_ros.messages.frame import decode_frame
 from imgu_ros.messages.header import Header

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.replay.results_bag import ResultsBag
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.vision.camera.pose import Pose

@@ -10,7 +10,7 @@ import pytest
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
-from imgu_ros.image.development import develop
+from imgu_ros.image.frame_image import develop
 from imgu_ros.result import PoseStatus, ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
 from imgu_ros.simulate.geometry import image_from_template, target_from_template
 from imgu_ros.vision.camera.intrinsics import make_camera

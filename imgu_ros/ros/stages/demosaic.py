@@ -11,8 +11,7 @@ from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import plain_picture
 from imgu_ros.errors import ImguError
-from imgu_ros.image.frame_development import develop_frame
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import FrameImage, develop_frame
 from imgu_ros.messages.header_checks import HeaderChecks
 from imgu_ros.messages.reduced_info import Covered, reduced_info_message
 from imgu_ros.messages.results import picture_message, result_header
@@ -71,15 +70,15 @@ class DemosaicStage(Stage):
         if frame.image.remark:
             self.remarks += (frame.image.remark,)
         development = develop_frame(frame, DevelopmentParameters.of(p))
-        if development.developed is None:
+        if development.image is None:
             raise ImguError(development.reason)
-        result = Result(frame, {}, developed=development.developed)
+        result = Result(frame, {}, developed=development.image)
         # Before the others: it is made straight from the mosaic, as long as nobody has asked for more.
         if outputs.listened(REDUCED) or outputs.listened(REDUCED_INFO):
-            self._publish_reduced(result, GreyPyramid(development.developed), outputs)
+            self._publish_reduced(result, development.image, outputs)
         outputs.publish(result)
 
-    def _publish_reduced(self, result: Result, pictures: GreyPyramid, outputs: Outputs) -> None:
+    def _publish_reduced(self, result: Result, pictures: FrameImage, outputs: Outputs) -> None:
         reduced = plain_picture(pictures, self.parameters)
         height, width = pictures.shape
         covered = Covered(*(int(side) for side in reduced.full_size))

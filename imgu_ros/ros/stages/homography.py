@@ -15,8 +15,7 @@ from imgu_ros.detect.detector import while_promising
 from imgu_ros.detect.features import reduction_of
 from imgu_ros.detect.robust_fit import Sight, draws, located
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import develop
 from imgu_ros.messages.features import decode_target_matches, matches_message
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import decode_image
@@ -119,7 +118,7 @@ class HomographyStage(TargetStage):
         pictures = None
         if _PICTURE in job.messages:
             developed = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
-            pictures = GreyPyramid(developed)
+            pictures = developed
             height, width = pictures.shape
         elif job.camera_info is not None:
             size = image_size(job.camera_info)

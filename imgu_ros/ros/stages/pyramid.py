@@ -10,8 +10,7 @@ from rclpy.node import Node
 
 from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
 from imgu_ros.detect.features import Reduced, frame_pyramid, reduced_picture
-from imgu_ros.image.development import develop
-from imgu_ros.image.grey_pyramid import GreyPyramid
+from imgu_ros.image.frame_image import develop
 from imgu_ros.messages.frame import decode_frame
 from imgu_ros.messages.reduced_info import Covered, decode_covered, reduced_info_from, reduced_info_message
 from imgu_ros.messages.results import result_header
@@ -53,7 +52,7 @@ class PyramidStage(Stage):
         height, width = developed.shape
         size = Covered(width, height)
         shown = size if job.camera_info is None else decode_covered(job.camera_info, size)
-        base = reduced_picture(GreyPyramid(developed), self.parameters)
+        base = reduced_picture(developed, self.parameters)
         full_size = base.full_size * (shown.width, shown.height) / (width, height)
         pyramid = frame_pyramid(Reduced(base.image, full_size), self.parameters)
         result = Result(frame, {}, developed=developed, pyramid=pyramid)

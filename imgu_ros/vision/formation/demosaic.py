@@ -91,7 +91,7 @@ def grey_from_mosaic(raw: Image, pattern: BayerPattern, exact_border: bool = Tru
     raw, pattern = as_mosaic(raw), BayerPattern(pattern)
     if min(raw.shape) < 3:
         return cv2.cvtColor(demosaic_bilinear(raw, pattern), cv2.COLOR_RGB2GRAY)
-    grey = cv2.cvtColor(raw, _GREY[pattern])
+    grey = cv2.cvtColor(raw, GREY_OF_MOSAIC[pattern])
     return _repaired_border(grey, raw, pattern) if exact_border else grey
 
 
@@ -110,11 +110,11 @@ def _repaired_border(grey: Image, raw: Image, pattern: BayerPattern) -> Image:
 def _strip(raw: Image, pattern: BayerPattern) -> Image:
     # Mirror images about the outermost row or column keep the Bayer phase.
     extended = cv2.copyMakeBorder(np.ascontiguousarray(raw), 2, 2, 2, 2, cv2.BORDER_REFLECT_101)
-    return cv2.cvtColor(extended, _GREY[pattern])[2:-2, 2:-2]
+    return cv2.cvtColor(extended, GREY_OF_MOSAIC[pattern])[2:-2, 2:-2]
 
 
 # OpenCV names a Bayer pattern by the second row's second and third site: what ROS calls rggb is its "BG".
-_GREY = {
+GREY_OF_MOSAIC = {
     BayerPattern.RGGB: cv2.COLOR_BayerBG2GRAY,
     BayerPattern.BGGR: cv2.COLOR_BayerRG2GRAY,
     BayerPattern.GRBG: cv2.COLOR_BayerGB2GRAY,

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From raw pixels to the grey picture that the chain works on, and to colour for those who ask."""
+"""The image of a frame: from raw pixels to grey, at full resolution and halved, and to colour on demand."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
-from imgu_ros.errors import ShapeError
+from imgu_ros.errors import ImguError, ShapeError
+from imgu_ros.frame import Frame
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
-from imgu_ros.vision.formation.demosaic import DemosaicMethod, demosaic, grey_from_mosaic
+from imgu_ros.vision.formation.demosaic import GREY_OF_MOSAIC, DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
@@ -50,9 +54,13 @@ _CHANNELS = {
     ColorModel.LUMA: 1,
 }
 
+#: A level whose shorter side is below this shows nothing that patches could be aligned with: they are 11 px wide by
+#: default.
+_SMALLEST_SIDE_PX = 8
 
-class Developed:
-    """A frame's pictures, each made when it is first asked for."""
+
+class FrameImage:
+    """A frame's grey and colour images, each computed on the first call, then kept."""
 
     def __init__(self, image: RawImage, raw: RawParameters, method: DemosaicMethod) -> None:
         self._layout = image.layout
@@ -61,7 +69,10 @@ class Developed:
         self._method = method
         self._grey: Image | None = None
         self._color: Image | None = None
-        white = self._white_level()
+        self._halved: list[Image] = []
+        self._white = white = self._white_level()
+        #: Whether values of 8 bits stay as they are.
+        self._keeps_values = self._pixels.dtype == np.uint8 and raw.black_level == 0 and white == 255
         if white is not None and white <= raw.black_level:
             raise ShapeError(f"raw.black_level: {raw.black_level:g}; need less than the white level, {white:g}")
         #: Whether any part of the grey picture can be made without the rest of the frame.
@@ -97,25 +108,30 @@ class Developed:
             self._grey = self._developed_grey()
         return self._grey
 
-    def halved(self) -> Image:
-        """Return the grey picture of half the size, (H // 2, W // 2) uint8: each pixel the mean of four.
+    @property
+    def most_halvings(self) -> int:
+        """How often the image can be halved and still shows something."""
+        return most_halvings(self.shape)
 
-        Of a mosaic they are the four of a quad, weighed as they are: green counts a half.
+    def halved(self, times: int) -> Image:
+        """Return the grey image halved `times` times, uint8: each pixel is the mean of 2^times x 2^times whole ones.
+
+        Of a mosaic they are the pixels of quads, as many of each colour as there are: green counts a half.
 
         Raises
         ------
         ShapeError
-            If a side is shorter than 2 px.
+            If nothing would be left of it.
         """
-        if min(self.shape) < 2:
-            raise ShapeError(f"pixels: shape {self.shape}; need at least 2 px a side to halve them")
-        if self._grey is None and self._local:
-            source, finish = self._pixels, True
-        else:
-            source, finish = self.grey, False
-        height, width = self.shape[0] // 2, self.shape[1] // 2
-        small = cv2.resize(source[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-        return stretched_to_8_bit(small, self._raw.black_level, self._white_level()) if finish else small
+        if times < 0 or not min(self.shape) >> times:
+            raise ShapeError(f"halved: {times} times, of {self.shape} px; need 0 to {self.most_halvings}")
+        if times == 0:
+            return self.grey
+        if not self._halved:
+            self._halved.append(self._first_halved())
+        while len(self._halved) < times:
+            self._halved.append(_half(self._halved[-1]))
+        return self._halved[times - 1]
 
     def cut(self, sheet: PatchAtlas) -> Image:
         """Return squares of the grey picture as a sheet; those of a mosaic must begin at even pixels.
@@ -133,8 +149,8 @@ class Developed:
         if self._layout.color is ColorModel.BAYER and self._layout.pattern is not None:
             if (sheet.side | int(np.bitwise_or.reduce(sheet.origins, axis=None))) & 1:
                 raise ShapeError("sheet: squares at odd pixels; need even ones, where a quad begins")
-            squares = grey_from_mosaic(squares, self._layout.pattern, exact_border=False)
-        return stretched_to_8_bit(squares, self._raw.black_level, self._white_level())
+            squares = cv2.cvtColor(squares, GREY_OF_MOSAIC[self._layout.pattern])
+        return self._stretched(squares)
 
     def color(self) -> Image:
         """Return the colour picture, (H, W, 3) RGB, uint8 or uint16; made on the first call, then kept.
@@ -144,6 +160,17 @@ class Developed:
         if self._color is None:
             self._color = self._developed_color()
         return self._color
+
+    def _first_halved(self) -> Image:
+        if self._grey is not None or not self._local:
+            return _half(self.grey)
+        # Without developing the rest of the frame.
+        return self._stretched(_half(self._pixels))
+
+    def _stretched(self, grey: Image) -> Image:
+        if self._keeps_values:
+            return grey
+        return stretched_to_8_bit(grey, self._raw.black_level, self._white)
 
     def _developed_grey(self) -> Image:
         pixels, layout = self._pixels, self._layout
@@ -217,7 +244,33 @@ class Developed:
         return 255.0 if self._pixels.dtype == np.uint8 else None
 
 
-def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameters) -> Developed:
+@dataclass(frozen=True, slots=True, eq=False)
+class Development:
+    """What became of a frame's pixels; it may be computed ahead of the rest of the pipeline, in another thread.
+
+    Attributes
+    ----------
+    image : None when the frame cannot be developed
+    reason : why it cannot; empty when it was
+    took_ns : time that it took
+    """
+
+    image: FrameImage | None
+    reason: str
+    took_ns: int
+
+
+def develop_frame(frame: Frame, parameters: DevelopmentParameters) -> Development:
+    """Develop a frame; what is wrong with it is said in the result. It depends on no other frame."""
+    start = time.perf_counter_ns()
+    try:
+        image = develop(frame.image, parameters.raw, parameters.demosaic)
+    except ImguError as error:
+        return Development(None, str(error), time.perf_counter_ns() - start)
+    return Development(image, "", time.perf_counter_ns() - start)
+
+
+def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameters) -> FrameImage:
     """Check a raw image; its grey picture and its colours are made on demand.
 
     8-bit input keeps its values unless black or white level are set. Deeper input is brought to 8 bits between
@@ -230,7 +283,7 @@ def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameter
         If the pixels do not fit their layout, `raw.bands` names a band that the image lacks, or the black level is
         not below the white level.
     """
-    return Developed(image, raw, DemosaicMethod(demosaicking.method))
+    return FrameImage(image, raw, DemosaicMethod(demosaicking.method))
 
 
 def grey_of(color: Image, weights: Sequence[float]) -> Image:
@@ -244,6 +297,16 @@ def grey_of(color: Image, weights: Sequence[float]) -> Image:
     if tuple(weights) == REC601:
         return cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     return grey_from_rgb(color, np.divide(weights, sum(weights)))
+
+
+def most_halvings(shape: tuple[int, int]) -> int:
+    """Return how often an image of `shape`, (height, width) px, can be halved and still shows something."""
+    return max(0, (min(shape) // _SMALLEST_SIDE_PX).bit_length() - 1)
+
+
+def _half(image: Image) -> Image:
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    return cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _checked_pixels(image: RawImage) -> Image:
