@@ -37,7 +37,7 @@ from imgu_ros.simulate.geometry import image_from_template, rotation_about
 from imgu_ros.simulate.path import Motion
 from imgu_ros.simulate.pictures import look_alike
 from imgu_ros.simulate.placing import Placing, camera_before_target
-from imgu_ros.simulate.plane_matches import KINDS, plane_matches
+from imgu_ros.simulate.plane_matches import KINDS, PlaneMatches, plane_matches
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import arrange_scene, size_of, template_matrix
 from imgu_ros.simulate.sequence import SimulatedFrame, default_camera
@@ -54,6 +54,8 @@ from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.formation.sensor import Sensor, expose
 from imgu_ros.vision.projective.estimate import estimate_homography
+from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.transform import transform
 
 #: Figures of one run by name: shares of 0 to 1, px, or counts.
 Figures = dict[str, float]
@@ -565,6 +567,77 @@ def _real_rmse(src: Floats, dst: Floats, labelled: Mask) -> float:
     mapped = src[labelled] @ H[:, :2].T + H[:, 2]
     away = mapped[:, :2] / mapped[:, 2:] - dst[labelled]
     return float(np.sqrt((away**2).sum(axis=1).mean()))
+
+
+def lines(quick: bool) -> Run:
+    """Matches on a line, which determine no plane, and narrow planes, which do: share that is accepted of each."""
+    runs = 3 if quick else 30
+    on_line: list[PlaneMatches] = []
+    off_line: list[PlaneMatches] = []
+    narrow: list[PlaneMatches] = []
+    for seed in range(runs):
+        rng = np.random.default_rng([seed, 0x11E])
+        made = plane_matches("uniform", 0.0, 0.4, seed)
+        along = np.column_stack((np.linspace(0, 1000, 12 + seed % 20), np.full(12 + seed % 20, 400.0)))
+        wrong = rng.uniform(0, 1000, (2, 4 + seed % 12, 2))
+        on_line.append(_with_wrong(made.H, along, wrong, rng))
+        off_line.append(_with_wrong(made.H, np.vstack((along, rng.uniform(0, 1000, (3 + seed % 8, 2)))), wrong, rng))
+        aspect = math.exp(rng.uniform(math.log(0.005), math.log(0.1)))
+        strip = rng.uniform(0, 1, (60, 2)) * (1000, 1000 * aspect)
+        narrow.append(_with_wrong(made.H, strip, rng.uniform(0, 1000, (2, 20, 2)), rng))
+
+    def run() -> Figures:
+        figures: Figures = {}
+        for name, cases in (("line", on_line), ("off_line", off_line), ("narrow", narrow)):
+            nees = []
+            for seed, matches in enumerate(cases):
+                try:
+                    nees.append(matches.nees(estimate_homography(matches.src, matches.dst, seed)))
+                except EstimationError:
+                    continue
+            figures[f"{name}_accepted"] = len(nees) / len(cases)
+            # 95 % of chi-squared with the 8 degrees of freedom of a homography.
+            figures[f"{name}_inside"] = float((np.array(nees) < 15.51).mean()) if nees else math.nan
+        return figures
+
+    return run
+
+
+def _with_wrong(H: Floats, src: Floats, wrong: Floats, rng: np.random.Generator) -> PlaneMatches:
+    """Return matches of points with their images under H, 1 px of noise, and wrong ones, (2, N, 2)."""
+    src = src + rng.normal(0, 0.5, src.shape)
+    dst = transform(H, src) + rng.normal(0, 1.0, src.shape)
+    order = rng.permutation(len(src) + wrong.shape[1])
+    return PlaneMatches(H, np.vstack((src, wrong[0]))[order], np.vstack((dst, wrong[1]))[order], order < len(src))
+
+
+def prosac(quick: bool) -> Run:
+    """Sorted matches, the best of which agree with another plane than the most: share in which the most win."""
+    cases = []
+    for seed in range(6 if quick else 40):
+        rng = np.random.default_rng([seed, 0x9A5])
+        most, other = plane_matches("uniform", 0.5, 0.4, seed), plane_matches("uniform", 0.0, 0.2, seed + 1000)
+        first = rng.permutation(len(other.src))[: 5 + seed % 16]
+        order = np.argsort(rng.normal(0, 1, len(most.src)) - most.true)
+        src, dst = np.vstack((other.src[first], most.src[order])), np.vstack((other.dst[first], most.dst[order]))
+        cases.append((most, src, dst))
+
+    def run() -> Figures:
+        right = calls = 0
+        for seed, (most, src, dst) in enumerate(cases):
+            found: list[HomographyEstimate] = []
+            calls += python_calls(lambda: found.extend(_by_prosac(src, dst, seed)))  # noqa: B023
+            right += bool(found) and most.corner_error(found[0].H) < WRONG_PX
+        return {"most_win": right / len(cases), "calls": calls / len(cases)}
+
+    return run
+
+
+def _by_prosac(src: Floats, dst: Floats, seed: int) -> Iterator[HomographyEstimate]:
+    try:
+        yield estimate_homography(src, dst, seed, sampler="prosac", score="truncated")
+    except EstimationError:
+        return
 
 
 def chance(quick: bool) -> Run:

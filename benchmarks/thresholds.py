@@ -124,7 +124,9 @@ CONSTANTS = {
     "biweight_reach": "vision.estimation.search:_REACH",
     "annealing": "vision.estimation.search:_ANNEALING",
     "promising": "vision.estimation.search:_PROMISING",
+    # prosac
     "support": "vision.estimation.ransac:_SUPPORT",
+    # lines
     "many_on_line": "vision.projective.estimate:_MANY_ON_LINE",
     "fewest_off_line": "vision.projective.estimate:_FEWEST_OFF_LINE",
     "min_aspect": "vision.projective.fit:_MIN_ASPECT",
@@ -294,12 +296,13 @@ STUDIES = {
             "biweight_reach": (1.5, 4.0),
             "annealing": ((1.0, 1.0, 1.0), (3.0, 2.0, 1.4, 1.0, 1.0, 1.0)),
             "promising": (1, 5),
-            "support": (0, 20),
-            "many_on_line": (5, 20),
-            "fewest_off_line": (3, 10),
-            "min_aspect": (0.005, 0.08),
         },
     ),
+    "lines": Study(
+        trials.lines,
+        {"many_on_line": (5, 20), "fewest_off_line": (3, 10), "min_aspect": (0.005, 0.01, 0.05)},
+    ),
+    "prosac": Study(trials.prosac, {"support": (0, 4, 20)}),
     "chance": Study(trials.chance, {"nearby": (1.0, 10.0), "wider": (1.0, 4.0)}),
     "calibration": Study(
         trials.calibration,

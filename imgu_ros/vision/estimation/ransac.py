@@ -22,7 +22,7 @@ from imgu_ros.vision.estimation.search import SEARCHES, RobustModel, Score
 #: Probability that a wrong hypothesis agrees with a point, beta of PROSAC (Chum & Matas 2005, section 2.2).
 _BY_CHANCE = 0.05
 #: Number of inliers beyond those expected by chance from which an early stop is allowed. Measured:
-#: benchmarks/thresholds.py, study consensus.
+#: benchmarks/thresholds.py, study prosac.
 _SUPPORT = 8
 
 

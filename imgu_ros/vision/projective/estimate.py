@@ -24,9 +24,9 @@ from imgu_ros.vision.projective.refine import HomographyError, TransferProblem
 
 #: Correspondences of which one can contradict the others.
 _FEWEST = 5
-#: Number of inliers on a line from which it is suspected. Measured: benchmarks/thresholds.py, study consensus.
+#: Number of inliers on a line from which it is suspected. Measured: benchmarks/thresholds.py, study lines.
 _MANY_ON_LINE = 8
-#: Number of inliers beside that line that are not chance. Measured: benchmarks/thresholds.py, study consensus.
+#: Number of inliers beside that line that are not chance. Measured: benchmarks/thresholds.py, study lines.
 _FEWEST_OFF_LINE = 5
 #: Iterations in which the line is found by reweighted least squares: bounds the time.
 _LINE_ROUNDS = 10

@@ -33,7 +33,7 @@ from imgu_ros.vision.projective.reprojection import ReprojectionProblem
 from imgu_ros.vision.projective.transform import faces_camera
 
 #: Smallest extent of the inliers across their main direction, as a share of that along it (both RMS): nearer to a line,
-#: the homography is not determined across it. Measured: benchmarks/thresholds.py, study consensus.
+#: the homography is not determined across it. Measured: benchmarks/thresholds.py, study lines.
 _MIN_ASPECT = 0.02
 #: px, of the errors where four correspondences leave no residual that could tell them.
 _UNTOLD_NOISE_PX = 1.0
