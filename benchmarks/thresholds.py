@@ -49,8 +49,8 @@ CONSTANTS = {
     "sheet_room_px": "track.patch_selection:_SHEET_ROOM_PX",
     "sheet_share": "track.patch_selection:_SHEET_SHARE",
     "most_stretched": "track.patch_selection:_MOST_STRETCHED",
-    "corner_quality": "reference.planar:_CORNER_QUALITY",
-    "corner_distance_px": "reference.planar:_CORNER_DISTANCE_PX",
+    "corner_quality": "reference.templates:_CORNER_QUALITY",
+    "corner_distance_px": "reference.templates:_CORNER_DISTANCE_PX",
     "cauchy_rounds": "vision.projective.plane_motion:_CAUCHY_ROUNDS",
     "tukey_rounds": "vision.projective.plane_motion:_TUKEY_ROUNDS",
     # reach
