@@ -26,7 +26,7 @@ CHAPTERS = (
 #: Parameters whose every value is an algorithm.
 METHODS = (
     "demosaic.method raw.band_mode preprocess.derivative pyramid.kind pyramid.kernel keypoints.detector "
-    "descriptor.kind matching.metric homography.sampler homography.error homography.refine"
+    "descriptor.kind matching.metric homography.estimator homography.sampler homography.error homography.refine"
 ).split()
 NOT_METHODS = {"auto", "none"}
 #: Sections of the lecture notes that the library covers.

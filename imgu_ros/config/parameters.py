@@ -16,7 +16,7 @@ from inspect import getdoc
 from typing import Any, cast, get_args, get_type_hints
 
 from imgu_ros.errors import ParameterError, nearest_name
-from imgu_ros.vision.methods import descriptor_names, detector_names
+from imgu_ros.vision.methods import descriptor_names, detector_names, estimator_names
 
 #: What a parameter can hold: the types that ROS 2 parameters have in common with Python.
 ParameterValue = bool | int | float | str | tuple[str, ...] | tuple[float, ...] | tuple[int, ...]
@@ -347,6 +347,12 @@ class MatchingParameters:
 class HomographyParameters:
     """Robust estimation of the homography."""
 
+    estimator: str = parameter(
+        "ransac",
+        "Robust estimator: `ransac` of this package; OpenCV's `usac_magsac`; `usac_then_ransac`: OpenCV's USAC, and "
+        "`ransac` where its answer may be chance.",
+        choices=estimator_names,
+    )
     sampler: str = parameter("prosac", "Sampling of minimal sets.", choices=("uniform", "prosac"))
     score: str = parameter(
         "truncated",

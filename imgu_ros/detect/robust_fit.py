@@ -6,6 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +26,9 @@ from imgu_ros.stage_clock import StageClock
 from imgu_ros.track.refinement import Alignment, refine_by_alignment
 from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.estimation.ransac import ransac
-from imgu_ros.vision.estimation.search import Score
+from imgu_ros.vision.methods import ESTIMATORS, EstimatorMethod
 from imgu_ros.vision.projective.fit import fit_homography
-from imgu_ros.vision.projective.minimal import HomographyModel
+from imgu_ros.vision.projective.robust import HomographyEstimator
 from imgu_ros.vision.projective.transform import faces_camera
 
 #: Hypotheses as good as the answer that wrong matches are expected to give, where nothing else confirms a target.
@@ -163,23 +165,28 @@ def _agreed(
         usable = np.flatnonzero(valid)
     if len(usable) < p.min_inliers:
         raise TooFewPoints(f"matches: {len(usable)}; need {p.min_inliers}")
-    symmetric = Score(p.score) is Score.BIWEIGHT
-    model = HomographyModel(matches.template_xy[usable], ideal[usable], symmetric)
-    consensus = ransac(
-        model,
+    estimate = homography_estimator(parameters)(
+        matches.template_xy[usable],
+        ideal[usable],
         p.threshold_px * sight.unit_px,
         rng,
-        sampler=p.sampler,
-        score=p.score,
-        confidence=p.confidence,
-        max_iterations=p.max_iterations,
-        min_inliers=p.min_inliers,
-        max_by_chance=_BY_CHANCE if sight.pictures is None else math.inf,
-        unit=" px",
+        _BY_CHANCE if sight.pictures is None else math.inf,
     )
     inliers = np.zeros(len(matches.template_xy), bool)
-    inliers[usable[consensus.inliers]] = True
-    return _Agreed(model.denormalised(consensus.hypothesis), inliers, ideal)
+    inliers[usable[estimate.inliers]] = True
+    return _Agreed(estimate.H, inliers, ideal)
+
+
+def homography_estimator(parameters: Parameters) -> HomographyEstimator:
+    """Return the chosen robust estimator, made once of its own parameters."""
+    row = ESTIMATORS[parameters.homography.estimator]
+    return _made(row, row.parameters_from(lambda name: attrgetter(name)(parameters)))
+
+
+@lru_cache(maxsize=16)
+def _made(row: EstimatorMethod, parameters: Any) -> HomographyEstimator:
+    estimator: HomographyEstimator = row.made(parameters)
+    return estimator
 
 
 def _start(target: Reference, agreed: _Agreed, matches: ReferenceMatches) -> Matrix3:

@@ -56,7 +56,7 @@ class Method:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Detector(Method):
+class DetectorMethod(Method):
     """A keypoint detector: a function of an image, (H, W) uint8, and the largest number of corners; gives `Corners`.
 
     Attributes
@@ -68,7 +68,7 @@ class Detector(Method):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Descriptor(Method):
+class DescriptorMethod(Method):
     """A descriptor: a function of an image, (H, W) uint8, and `Corners` on it; gives `Described`.
 
     Attributes
@@ -91,27 +91,33 @@ class Descriptor(Method):
 _BITS = "is binary"
 _GRADIENTS = "is a histogram of gradients"
 
-DETECTORS: dict[str, Detector] = {
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class EstimatorMethod(Method):
+    """A robust estimator of homographies; `make` gives a `HomographyEstimator`."""
+
+
+DETECTORS: dict[str, DetectorMethod] = {
     row.name: row
     for row in (
-        Detector(
+        DetectorMethod(
             name="fast",
             make="keypoints.fast:fast_detector",
             parameters="keypoints.fast:FastParameters",
             settings={"arc": "keypoints.fast_arc"},
         ),
-        Detector(name="harris", make="keypoints.harris:detect_harris"),
-        Detector(name="moravec", make="keypoints.moravec:detect_moravec"),
-        Detector(name="dog", make="keypoints.dog:detect_dog", finds_every_scale=True),
-        Detector(name="mser", make="keypoints.mser:detect_mser", finds_every_scale=True),
-        Detector(name="orb", make="keypoints.orb:detect_orb"),
+        DetectorMethod(name="harris", make="keypoints.harris:detect_harris"),
+        DetectorMethod(name="moravec", make="keypoints.moravec:detect_moravec"),
+        DetectorMethod(name="dog", make="keypoints.dog:detect_dog", finds_every_scale=True),
+        DetectorMethod(name="mser", make="keypoints.mser:detect_mser", finds_every_scale=True),
+        DetectorMethod(name="orb", make="keypoints.orb:detect_orb"),
     )
 }
 
-DESCRIPTORS: dict[str, Descriptor] = {
+DESCRIPTORS: dict[str, DescriptorMethod] = {
     row.name: row
     for row in (
-        Descriptor(
+        DescriptorMethod(
             name="orb",
             make="descriptors.orb:describe_orb",
             columns=32,
@@ -119,7 +125,7 @@ DESCRIPTORS: dict[str, Descriptor] = {
             metrics=("hamming",),
             nature=_BITS,
         ),
-        Descriptor(
+        DescriptorMethod(
             name="sift",
             make="descriptors.sift:describe_sift",
             columns=128,
@@ -127,7 +133,7 @@ DESCRIPTORS: dict[str, Descriptor] = {
             metrics=("euclidean", "cosine"),
             nature=_GRADIENTS,
         ),
-        Descriptor(
+        DescriptorMethod(
             name="rootsift",
             make="descriptors.sift:describe_rootsift",
             columns=128,
@@ -135,7 +141,7 @@ DESCRIPTORS: dict[str, Descriptor] = {
             metrics=("euclidean", "cosine"),
             nature=_GRADIENTS,
         ),
-        Descriptor(
+        DescriptorMethod(
             name="brief",
             make="descriptors.brief:describe_brief",
             columns=32,
@@ -143,13 +149,41 @@ DESCRIPTORS: dict[str, Descriptor] = {
             metrics=("hamming",),
             nature=_BITS,
         ),
-        Descriptor(
+        DescriptorMethod(
             name="patch",
             make="descriptors.patch:describe_patch",
             columns=169,
             is_binary=False,
             metrics=("ncc", "zmssd", "ssd"),
             nature="is a patch of grey values",
+        ),
+    )
+}
+
+
+_CONSENSUS = {name: f"homography.{name}" for name in ("confidence", "max_iterations", "min_inliers")}
+_RANSAC = {name: f"homography.{name}" for name in ("sampler", "score")} | _CONSENSUS
+
+ESTIMATORS: dict[str, EstimatorMethod] = {
+    row.name: row
+    for row in (
+        EstimatorMethod(
+            name="ransac",
+            make="projective.robust:ransac_estimator",
+            parameters="projective.robust:RansacParameters",
+            settings=_RANSAC,
+        ),
+        EstimatorMethod(
+            name="usac_then_ransac",
+            make="projective.robust:usac_then_ransac_estimator",
+            parameters="projective.robust:RansacParameters",
+            settings=_RANSAC,
+        ),
+        EstimatorMethod(
+            name="usac_magsac",
+            make="projective.robust:usac_magsac_estimator",
+            parameters="projective.robust:UsacParameters",
+            settings=_CONSENSUS,
         ),
     )
 }
@@ -165,7 +199,12 @@ def descriptor_names() -> tuple[str, ...]:
     return tuple(DESCRIPTORS)
 
 
-def register_detector(row: Detector) -> None:
+def estimator_names() -> tuple[str, ...]:
+    """Return the choices of `homography.estimator`."""
+    return tuple(ESTIMATORS)
+
+
+def register_detector(row: DetectorMethod) -> None:
     """Add a detector; see `register_descriptor` for one that describes, too.
 
     Raises
@@ -176,7 +215,7 @@ def register_detector(row: Detector) -> None:
     _register(DETECTORS, row, detector_names())
 
 
-def register_descriptor(row: Descriptor) -> None:
+def register_descriptor(row: DescriptorMethod) -> None:
     """Add a descriptor.
 
     Raises
@@ -185,6 +224,17 @@ def register_descriptor(row: Descriptor) -> None:
         If the name is taken; that of one that detects, by a detector.
     """
     _register(DESCRIPTORS, row, detector_names() if row.detects else descriptor_names())
+
+
+def register_estimator(row: EstimatorMethod) -> None:
+    """Add a robust estimator of homographies.
+
+    Raises
+    ------
+    ShapeError
+        If the name is taken.
+    """
+    _register(ESTIMATORS, row, estimator_names())
 
 
 Row = TypeVar("Row", bound=Method)
@@ -208,7 +258,7 @@ def method_named(table: Mapping[str, Row], name: object, what: str) -> Row:
 
 def _register(table: dict[str, Row], row: Row, taken: tuple[str, ...]) -> None:
     if row.name in taken:
-        raise ShapeError(f"{type(row).__name__}: {row.name!r} is taken; need another name")
+        raise ShapeError(f"{row.name}: already registered; need another name")
     table[row.name] = row
 
 

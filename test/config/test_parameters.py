@@ -19,7 +19,7 @@ from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.formation.bands import BandMode
 from imgu_ros.vision.formation.demosaic import DemosaicMethod
 from imgu_ros.vision.matching.metrics import Metric
-from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
+from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS, ESTIMATORS
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel
 from imgu_ros.vision.scale_space.pyramid import PyramidKind
 
@@ -262,13 +262,13 @@ _DECLARED_OR_CHECKED = {"parameters.py", "checks.py", "values.py"}
 
 
 def test_every_parameter_is_read_somewhere(repository):
-    """An option that nothing reads would be accepted and ignored; `reference` has one value, and others are refused."""
+    """An option that nothing reads would be accepted and ignored."""
     files = [path for path in (repository / "imgu_ros").rglob("*.py") if path.name not in _DECLARED_OR_CHECKED]
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
     read = {node.attr for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-    rows = (*DETECTORS.values(), *DESCRIPTORS.values())
+    rows = (*DETECTORS.values(), *DESCRIPTORS.values(), *ESTIMATORS.values())
     read |= {name.split(".")[-1] for row in rows for name in (row.settings or {}).values()}
-    assert {known.name for known in ALL if known.name.split(".")[-1] not in read} == {"reference"}
+    assert {known.name for known in ALL if known.name.split(".")[-1] not in read} == set()
 
 
 @pytest.mark.parametrize(
@@ -279,6 +279,7 @@ def test_every_parameter_is_read_somewhere(repository):
         ("pyramid.kernel", GaussianKernel),
         ("keypoints.detector", DETECTORS),
         ("descriptor.kind", DESCRIPTORS),
+        ("homography.estimator", ESTIMATORS),
         ("matching.metric", Metric),
         ("homography.sampler", Sampler),
         ("raw.band_mode", BandMode),

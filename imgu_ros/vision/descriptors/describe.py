@@ -12,7 +12,7 @@ from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Indices, as_matrix, as_points
 from imgu_ros.vision.keypoints.keypoints import Keypoints, on_level
-from imgu_ros.vision.methods import DESCRIPTORS, Descriptor, method_named
+from imgu_ros.vision.methods import DESCRIPTORS, DescriptorMethod, method_named
 from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
@@ -32,7 +32,7 @@ class Descriptions:
 
 
 def describe(
-    pyramid: Pyramid, keypoints: Keypoints, kind: Descriptor | str = "orb", parameters: Any = None
+    pyramid: Pyramid, keypoints: Keypoints, kind: DescriptorMethod | str = "orb", parameters: Any = None
 ) -> Descriptions:
     """Describe keypoints, each on the level of the pyramid that fits its scale; those too near a border are dropped.
 
@@ -61,7 +61,7 @@ def describe(
     """
     require_type(pyramid, Pyramid, "pyramid")
     require_type(keypoints, Keypoints, "keypoints")
-    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    row = kind if isinstance(kind, DescriptorMethod) else method_named(DESCRIPTORS, kind, "kind")
     if row.detects:
         raise ShapeError(f"kind: {row.name!r} finds its own keypoints; need a descriptor of given ones")
     keypoints = _checked(keypoints)
@@ -82,7 +82,7 @@ def describe(
     return Descriptions(keypoints.chosen(np.concatenate(kept)), np.concatenate(rows))
 
 
-def empty_descriptors(kind: Descriptor | str) -> Image:
+def empty_descriptors(kind: DescriptorMethod | str) -> Image:
     """Return no descriptors of a kind, (0, D) uint8 or float32.
 
     Examples
@@ -90,7 +90,7 @@ def empty_descriptors(kind: Descriptor | str) -> Image:
     >>> empty_descriptors("patch").shape
     (0, 169)
     """
-    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    row = kind if isinstance(kind, DescriptorMethod) else method_named(DESCRIPTORS, kind, "kind")
     return np.zeros((0, row.columns), np.uint8 if row.is_binary else np.float32)
 
 

@@ -15,7 +15,7 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.vision.descriptors.describe import Descriptions, describe
 from imgu_ros.vision.keypoints.detect import detect
 from imgu_ros.vision.keypoints.keypoints import Keypoints
-from imgu_ros.vision.methods import Descriptor, Detector
+from imgu_ros.vision.methods import DescriptorMethod, DetectorMethod
 from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
@@ -41,8 +41,8 @@ class ExtractorOptions:
     detector_parameters, descriptor_parameters : their own parameters; None: the defaults
     """
 
-    detector: Detector | None
-    descriptor: Descriptor
+    detector: DetectorMethod | None
+    descriptor: DescriptorMethod
     detector_parameters: Any = None
     descriptor_parameters: Any = None
 

@@ -48,9 +48,9 @@ from imgu_ros.vision.estimation.linear import (
 )
 from imgu_ros.vision.estimation.losses import cauchy, huber, tukey
 from imgu_ros.vision.estimation.nonlinear import LeastSquaresProblem, Linearisation, Minimiser, Minimum, minimise
-from imgu_ros.vision.estimation.ransac import Consensus, iterations_needed, ransac
+from imgu_ros.vision.estimation.ransac import Proposal, accepted, iterations_needed, ransac
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
-from imgu_ros.vision.estimation.search import RobustModel, Score, WeightedModel
+from imgu_ros.vision.estimation.search import Consensus, RobustModel, Score, WeightedModel
 from imgu_ros.vision.estimation.settling import InlierFit, SettledFit
 
 __all__ = [
@@ -66,11 +66,13 @@ __all__ = [
     "Linearisation",
     "Minimiser",
     "Minimum",
+    "Proposal",
     "RobustModel",
     "Sampler",
     "Score",
     "SettledFit",
     "WeightedModel",
+    "accepted",
     "align_directions",
     "binomial_tail",
     "cauchy",

@@ -12,34 +12,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.arguments import as_integer, as_number, require_methods
-from imgu_ros.errors import NoConsensus, ShapeError
+from imgu_ros.arguments import as_integer, as_number, require_methods, require_type
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask
-from imgu_ros.vision.estimation.chance import Agreement, ChanceModel
+from imgu_ros.vision.estimation.chance import ChanceModel
 from imgu_ros.vision.estimation.sampling import Sampler, draw_samples
-from imgu_ros.vision.estimation.search import SEARCHES, RobustModel, Score
+from imgu_ros.vision.estimation.search import SEARCHES, Consensus, RobustModel, Score, Search
 
 #: Probability that a wrong hypothesis agrees with a point, beta of PROSAC (Chum & Matas 2005, section 2.2).
 _BY_CHANCE = 0.05
 #: Number of inliers beyond those expected by chance from which an early stop is allowed. Measured:
 #: benchmarks/thresholds.py, study prosac.
 _SUPPORT = 8
+#: Hypotheses as good as a proposal that wrong data are expected to give: below it, no sample is drawn beside it.
+_PROPOSED_BY_CHANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Consensus:
-    """The best hypothesis found.
+class Proposal:
+    """Hypotheses that another search found.
 
     Attributes
     ----------
-    hypothesis : as the model has it
-    inliers : (N,) error within the threshold
-    iterations : samples drawn
+    hypotheses : (B, ...) as the model has them; possibly none
+    samples : that were drawn for them, at most
     """
 
-    hypothesis: Floats
-    inliers: Mask
-    iterations: int
+    hypotheses: Floats
+    samples: int
 
 
 def ransac(
@@ -54,6 +54,7 @@ def ransac(
     min_inliers: int = 0,
     max_by_chance: float = 1e-3,
     unit: str = "",
+    proposal: Proposal | None = None,
 ) -> Consensus:
     """Find the hypothesis with the smallest robust error.
 
@@ -71,6 +72,9 @@ def ransac(
     max_by_chance : most hypotheses as good as the answer that wrong data may be expected to give, of a model that can
         tell (`ChanceModel`); inf: chance is not asked
     unit : of the threshold, for the message of NoConsensus
+    proposal : hypotheses to begin with. When the best of them is more than chance (1e-3, or `max_by_chance` where that
+        is less), it is the answer, and no sample is drawn. The truncated score takes it as it is, the biweight score
+        fits it by weight first
 
     Raises
     ------
@@ -88,61 +92,76 @@ def ransac(
     >>> ransac(LineModel(points), 0.1, np.random.default_rng(0)).inliers.tolist()
     [True, True, True, False, True, False, True]
     """
-    require_methods(model, ("count", "sample_size", "generate", "squared_errors"), "model")
-    threshold = as_number(threshold, "threshold")
     confidence = as_number(confidence, "confidence")
     max_iterations = as_integer(max_iterations, "max_iterations")
     min_inliers = as_integer(min_inliers, "min_inliers")
     max_by_chance = as_number(max_by_chance, "max_by_chance")
-    if not (1e-150 < threshold < 1e150 and 0 < confidence < 1 and max_iterations >= 1 and max_by_chance > 0):
+    search = _search(model, threshold, Score(score))
+    if not (0 < confidence < 1 and max_iterations >= 1 and max_by_chance > 0):
         raise ShapeError(
-            f"threshold, confidence, max_iterations, max_by_chance: {threshold}, {confidence}, {max_iterations}, "
-            f"{max_by_chance}; need > 0, between 0 and 1, >= 1, > 0"
+            f"confidence, max_iterations, max_by_chance: {confidence}, {max_iterations}, {max_by_chance}; need "
+            "between 0 and 1, >= 1, > 0"
         )
-    limit = threshold**2
-    shares = model.shares(threshold) if isinstance(model, ChanceModel) else np.ones(model.count)
-    search = SEARCHES[Score(score)](model, limit, shares)
+    wanted = max(min_inliers, model.sample_size + 1)
+    proposed = drawn = scored = 0
+    if proposal is not None:
+        require_type(proposal, Proposal, "proposal")
+        proposed = proposal.samples
+        by_chance = min(max_by_chance, _PROPOSED_BY_CHANCE)
+        is_better = len(proposal.hypotheses) > 0 and search.begin(proposal.hypotheses)
+        if is_better and search.failure(wanted, proposed, by_chance, 0, unit) is None:
+            return search.consensus(0)
     most_drawn = max_iterations * search.draws_for_each
     needed = most_drawn
-    drawn = scored = 0
     for samples in draw_samples(sampler, model.count, model.sample_size, rng, search.largest_batch):
         samples = samples[: most_drawn - drawn]
         drawn += len(samples)
         hypotheses = model.generate(samples)
         scored += len(hypotheses)
         if len(hypotheses) and search.improve(hypotheses):
-            share = _inlier_share(search.errors <= limit, shares, model.sample_size, Sampler(sampler))
+            share = _inlier_share(search.errors <= search.limit, search.shares, model.sample_size, Sampler(sampler))
             needed = min(needed, iterations_needed(share, model.sample_size, confidence))
         if drawn >= min(needed, most_drawn) or scored >= max_iterations:
             break
     search.finish()
-    inlier_mask = search.errors <= limit
-    found = int(np.count_nonzero(inlier_mask))
-    wanted = max(min_inliers, model.sample_size + 1)
-    if search.best is None or found < wanted:
-        raise NoConsensus(
-            f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}",
-            inliers=found,
-        )
-    if isinstance(model, ChanceModel) and math.isfinite(max_by_chance):
-        probability = model.agreement_probability(search.best, threshold)
-        ratios = np.sqrt(search.errors) / threshold
-        agreement = Agreement(shares, ratios, model.sample_size, model.codimension, probability)
-        if not agreement.expected_by_chance(scored) <= max_by_chance:
-            raise NoConsensus(
-                _by_chance(agreement, found, scored, max_by_chance, f"{threshold:g}{unit}"), inliers=found
-            )
-    return Consensus(search.best, inlier_mask, drawn)
+    failure = search.failure(wanted, proposed + scored, max_by_chance, drawn, unit)
+    if failure is not None:
+        raise failure
+    return search.consensus(drawn)
 
 
-def _by_chance(agreement: Agreement, found: int, tested: int, expected: float, threshold: str) -> str:
-    """Return the reason in the user's terms."""
-    count = len(agreement.shares)
-    alike = float(agreement.shares[agreement.ratios <= 1].sum())
-    places = "" if found - alike < 0.5 else f", at {alike:.0f} different places"
-    needed = agreement.needed(tested, expected)
-    more = f"need {needed}" if needed <= count else "need a smaller threshold, or more that agree"
-    return f"inliers: {found} of {count} within {threshold}{places}: as many agree by chance; {more}"
+def accepted(
+    model: RobustModel,
+    proposal: Proposal,
+    threshold: float,
+    *,
+    min_inliers: int = 0,
+    max_by_chance: float = 1e-3,
+    unit: str = "",
+) -> Consensus:
+    """Return the best of proposed hypotheses, as it is, when `ransac` would accept it as its answer.
+
+    The parameters, and what is raised, are those of `ransac`.
+    """
+    require_type(proposal, Proposal, "proposal")
+    search = _search(model, threshold, Score.TRUNCATED)
+    if len(proposal.hypotheses):
+        search.begin(proposal.hypotheses)
+    wanted = max(as_integer(min_inliers, "min_inliers"), model.sample_size + 1)
+    failure = search.failure(wanted, proposal.samples, as_number(max_by_chance, "max_by_chance"), 0, unit)
+    if failure is not None:
+        raise failure
+    return search.consensus(0)
+
+
+def _search(model: RobustModel, threshold: float, score: Score) -> Search:
+    """Return a search without a hypothesis yet."""
+    require_methods(model, ("count", "sample_size", "generate", "squared_errors"), "model")
+    threshold = as_number(threshold, "threshold")
+    if not 1e-150 < threshold < 1e150:
+        raise ShapeError(f"threshold: {threshold}; need > 0")
+    shares = model.shares(threshold) if isinstance(model, ChanceModel) else np.ones(model.count)
+    return SEARCHES[score](model, threshold**2, shares)
 
 
 def iterations_needed(inlier_share: float, sample_size: int, confidence: float) -> int:

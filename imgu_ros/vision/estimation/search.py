@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from imgu_ros.errors import EstimationError
+from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.types import Choice, Floats, Indices, Mask
+from imgu_ros.vision.estimation.chance import Agreement, ChanceModel
 
 #: Most refits of a new best hypothesis to its own inliers. Measured: benchmarks/thresholds.py, study consensus.
 _LOCAL_STEPS = 4
@@ -60,6 +62,22 @@ class WeightedModel(RobustModel, Protocol):
         """Return the hypotheses (B', ...) fitted with weights (B, N) of the squared errors; undetermined give none."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Consensus:
+    """The best hypothesis found.
+
+    Attributes
+    ----------
+    hypothesis : as the model has it
+    inliers : (N,) error within the threshold
+    iterations : samples drawn
+    """
+
+    hypothesis: Floats
+    inliers: Mask
+    iterations: int
+
+
 class _Search:
     """The best hypothesis so far; each datum's cost counts by its share of its place."""
 
@@ -71,12 +89,52 @@ class _Search:
         self.errors = np.zeros(0)
         self.cost = math.inf
 
+    def consensus(self, drawn: int) -> Consensus:
+        """Return the best hypothesis, after so many samples."""
+        assert self.best is not None
+        return Consensus(self.best, self.errors <= self.limit, drawn)
+
+    def failure(self, wanted: int, tested: int, max_by_chance: float, drawn: int, unit: str) -> NoConsensus | None:
+        """Return why the best hypothesis is no answer; None when it is one.
+
+        Parameters
+        ----------
+        wanted : inliers of an answer
+        tested : hypotheses, of which wrong data may give `max_by_chance` as good ones; inf: chance is not asked
+        drawn, unit : samples so far, and unit of the threshold, for the message
+        """
+        model, threshold = self.model, math.sqrt(self.limit)
+        found = int(np.count_nonzero(self.errors <= self.limit))
+        if self.best is None or found < wanted:
+            return NoConsensus(
+                f"inliers: {found} of {model.count} within {threshold:g}{unit} after {drawn} samples; need {wanted}",
+                inliers=found,
+            )
+        if not isinstance(model, ChanceModel) or not math.isfinite(max_by_chance):
+            return None
+        probability = model.agreement_probability(self.best, threshold)
+        ratios = np.sqrt(self.errors) / threshold
+        agreement = Agreement(self.shares, ratios, model.sample_size, model.codimension, probability)
+        if agreement.expected_by_chance(tested) <= max_by_chance:
+            return None
+        return NoConsensus(_by_chance(agreement, found, tested, max_by_chance, f"{threshold:g}{unit}"), inliers=found)
+
     def _take(self, hypotheses: Floats, errors: Floats, costs: Floats) -> bool:
         winner = int(np.argmin(costs))
         if not costs[winner] < self.cost:
             return False
         self.best, self.errors, self.cost = hypotheses[winner], errors[winner], float(costs[winner])
         return True
+
+
+def _by_chance(agreement: Agreement, found: int, tested: int, expected: float, threshold: str) -> str:
+    """Return the reason in the user's terms."""
+    count = len(agreement.shares)
+    alike = float(agreement.shares[agreement.ratios <= 1].sum())
+    places = "" if found - alike < 0.5 else f", at {alike:.0f} different places"
+    needed = agreement.needed(tested, expected)
+    more = f"need {needed}" if needed <= count else "need a smaller threshold, or more that agree"
+    return f"inliers: {found} of {count} within {threshold}{places}: as many agree by chance; {more}"
 
 
 class _TruncatedSearch(_Search):
@@ -91,6 +149,10 @@ class _TruncatedSearch(_Search):
             return False
         self._refit_to_inliers()
         return True
+
+    def begin(self, hypotheses: Floats) -> bool:
+        """Whether one of the proposed hypotheses, as it is, is better than all before."""
+        return self._consider(hypotheses)
 
     def finish(self) -> None:
         """Fit the best hypothesis by weights that narrow down: what a poor sample gave takes in all that agrees."""
@@ -146,6 +208,10 @@ class _BiweightSearch(_Search):
             better |= self._take(hypotheses, errors, self._costs(errors))
         return better
 
+    def begin(self, hypotheses: Floats) -> bool:
+        """Whether one of the proposed hypotheses, or a fit that starts from it, is better than all before."""
+        return self.improve(hypotheses)
+
     def finish(self) -> None:
         """Nothing is left to do: every batch's best were fitted by weight."""
 
@@ -169,3 +235,6 @@ SEARCHES: dict[Score, Callable[[RobustModel, float, Floats], _TruncatedSearch | 
     Score.TRUNCATED: _TruncatedSearch,
     Score.BIWEIGHT: _BiweightSearch,
 }
+
+#: What a score's search is.
+Search = _TruncatedSearch | _BiweightSearch

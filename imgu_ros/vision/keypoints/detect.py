@@ -13,13 +13,13 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Indices
 from imgu_ros.vision.keypoints.dog import SIFT_SIGMA_PX
 from imgu_ros.vision.keypoints.keypoints import Keypoints
-from imgu_ros.vision.methods import DETECTORS, Detector, method_named
+from imgu_ros.vision.methods import DETECTORS, DetectorMethod, method_named
 from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
 def detect(
     pyramid: Pyramid,
-    detector: Detector | str = "orb",
+    detector: DetectorMethod | str = "orb",
     max_count: int = 1000,
     even_scales: bool = False,
     parameters: Any = None,
@@ -58,7 +58,7 @@ def detect(
     >>> len(keypoints), int(keypoints.octave.max())
     (100, 2)
     """
-    row = detector if isinstance(detector, Detector) else method_named(DETECTORS, detector, "detector")
+    row = detector if isinstance(detector, DetectorMethod) else method_named(DETECTORS, detector, "detector")
     shares = level_shares(pyramid, max_count, even_scales, row.finds_every_scale)
     function = row.made(parameters)
     found = []

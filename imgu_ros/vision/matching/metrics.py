@@ -8,7 +8,7 @@ import numpy as np
 from imgu_ros.arguments import as_integer, shown_value
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Choice, Image, Indices, as_plain
-from imgu_ros.vision.methods import DESCRIPTORS, Descriptor, method_named
+from imgu_ros.vision.methods import DESCRIPTORS, DescriptorMethod, method_named
 
 
 class Metric(Choice):
@@ -23,7 +23,7 @@ class Metric(Choice):
     NCC = "ncc"  #: 1 - cosine of the angle between the rows less their means: 1 - normalised cross-correlation
 
 
-def metrics_of(kind: Descriptor | str) -> tuple[Metric, ...]:
+def metrics_of(kind: DescriptorMethod | str) -> tuple[Metric, ...]:
     """Return the metrics that make sense for a kind of descriptor, the one that `auto` stands for first.
 
     Examples
@@ -31,11 +31,11 @@ def metrics_of(kind: Descriptor | str) -> tuple[Metric, ...]:
     >>> [str(metric) for metric in metrics_of("patch")]
     ['ncc', 'zmssd', 'ssd']
     """
-    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    row = kind if isinstance(kind, DescriptorMethod) else method_named(DESCRIPTORS, kind, "kind")
     return tuple(map(Metric, row.metrics))
 
 
-def metric_for(kind: Descriptor | str, metric: Metric | str = Metric.AUTO) -> Metric:
+def metric_for(kind: DescriptorMethod | str, metric: Metric | str = Metric.AUTO) -> Metric:
     """Return the metric for a kind of descriptor: `auto` becomes the best one, another is checked.
 
     Raises
@@ -48,7 +48,7 @@ def metric_for(kind: Descriptor | str, metric: Metric | str = Metric.AUTO) -> Me
     >>> str(metric_for("sift", "auto"))
     'euclidean'
     """
-    row = kind if isinstance(kind, Descriptor) else method_named(DESCRIPTORS, kind, "kind")
+    row = kind if isinstance(kind, DescriptorMethod) else method_named(DESCRIPTORS, kind, "kind")
     metric, sensible = Metric(metric), metrics_of(row)
     if metric is Metric.AUTO:
         return sensible[0]

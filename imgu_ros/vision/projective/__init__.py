@@ -15,6 +15,7 @@ A camera's view of a flat thing is a homography: 3x3, regular, of any scale, `x_
 | `refine` | what a fit may minimise: transfer, symmetric, Sampson and reprojection errors | accuracy |
 | `fit` | `fit_homography`: refined, with a covariance | four or more true matches |
 | `estimate` | `estimate_homography`: the same by sample consensus | matches with wrong ones among them |
+| `robust` | the estimators that the pipeline chooses from: ours, OpenCV's, both | matches with wrong ones among them |
 | `plane_motion` | `PlaneMotion.fit`: the small motion that most displacements agree with | patches were aligned |
 | `logarithm` | of a homography: the motion's velocity, any share of it | a motion is to go on |
 | `homography` | `homography_normal_equations`: H and the normal equations of its displacements, two 8x8 matrices; unit norm and sign | a pose is to be fitted next |
@@ -83,6 +84,16 @@ from imgu_ros.vision.projective.refine import (
     stepped,
 )
 from imgu_ros.vision.projective.reprojection import CorrectedPoints, ReprojectionProblem, corrected_points
+from imgu_ros.vision.projective.robust import (
+    HomographyEstimator,
+    RansacParameters,
+    RobustHomography,
+    UsacParameters,
+    ransac_estimator,
+    usac_magsac_estimator,
+    usac_proposal,
+    usac_then_ransac_estimator,
+)
 from imgu_ros.vision.projective.transform import area_factor, faces_camera, inverse3, local_jacobian, transform
 from imgu_ros.vision.projective.transformations import (
     affine,
@@ -105,6 +116,7 @@ __all__ = [
     "CorrectedPoints",
     "HomographyError",
     "HomographyEstimate",
+    "HomographyEstimator",
     "HomographyModel",
     "HomographyNormalEquations",
     "HomographyParts",
@@ -113,11 +125,14 @@ __all__ = [
     "Orientation",
     "Pairs",
     "PlaneMotion",
+    "RansacParameters",
     "ReprojectionProblem",
+    "RobustHomography",
     "SampsonProblem",
     "SymmetricProblem",
     "TransferProblem",
     "Transformation",
+    "UsacParameters",
     "affine",
     "algebraic_error",
     "area_factor",
@@ -156,6 +171,7 @@ __all__ = [
     "normalised_points",
     "points_at_infinity",
     "projective",
+    "ransac_estimator",
     "reprojection_error",
     "require_regular",
     "require_spread",
@@ -173,4 +189,7 @@ __all__ = [
     "transform_lines",
     "transform_points",
     "translation",
+    "usac_magsac_estimator",
+    "usac_proposal",
+    "usac_then_ransac_estimator",
 ]

@@ -13,9 +13,9 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensu
 from imgu_ros.types import Mask, Matrix3, Points, as_points
 from imgu_ros.vision.estimation.covariance import selection_efficiency
 from imgu_ros.vision.estimation.nonlinear import Minimiser
-from imgu_ros.vision.estimation.ransac import Consensus, ransac
+from imgu_ros.vision.estimation.ransac import ransac
 from imgu_ros.vision.estimation.sampling import Sampler
-from imgu_ros.vision.estimation.search import Score
+from imgu_ros.vision.estimation.search import Consensus, Score
 from imgu_ros.vision.estimation.settling import InlierFit
 from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate, Orientation

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.arguments import as_flag
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
-from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points, as_points
+from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points, as_mask, as_matrix, as_points
 from imgu_ros.vision.estimation.chance import pair_probability, shares_of_places
 from imgu_ros.vision.projective.homography import Orientation
 
@@ -161,6 +161,21 @@ class HomographyModel:
         """Return the homography between the caller's points, unit Frobenius norm, w > 0 where hypotheses have it."""
         H = np.linalg.solve(self._T_dst, hypothesis @ self._T_src)
         return np.asarray(H / np.linalg.norm(H / np.abs(H).max()) / np.abs(H).max(), np.float64)
+
+    def normalised(self, H: ArrayLike, inliers: Mask) -> Floats:
+        """Return a homography between the caller's points as a hypothesis, (1, 3, 3), that agrees with `inliers` (N,).
+
+        None, (0, 3, 3), where it is singular or shows the plane across the horizon or from a side not allowed.
+        """
+        H, inliers = as_matrix(H, (3, 3), "H"), as_mask(inliers, self.count, "inliers")
+        if not inliers.any():
+            return np.zeros((0, 3, 3))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            scaled = self._T_dst @ H @ np.linalg.inv(self._T_src)
+            hypothesis = scaled[None] / (scaled[2] @ self._src_columns)[inliers].mean()
+            determinant = np.linalg.det(hypothesis)
+        good = np.isfinite(hypothesis).all(axis=(1, 2)) & (np.abs(determinant) > _MIN_DETERMINANT)
+        return np.asarray(hypothesis[good & self._keeps_side(determinant[:, None])], np.float64)
 
     def _keeps_side(self, determinants: Floats) -> Mask:
         """Whether all numbers (B, M) of each row have the sign of the allowed orientation, (B,)."""

@@ -15,7 +15,7 @@ from imgu_ros.vision.estimation.line import LineModel, fit_line
 from imgu_ros.vision.estimation.linear import homogeneous_least_squares, least_squares, shape_of, total_least_squares
 from imgu_ros.vision.estimation.losses import cauchy, huber, tukey
 from imgu_ros.vision.estimation.nonlinear import Linearisation, Minimum, minimise
-from imgu_ros.vision.estimation.ransac import iterations_needed, ransac
+from imgu_ros.vision.estimation.ransac import Proposal, accepted, iterations_needed, ransac
 from imgu_ros.vision.estimation.sampling import draw_samples
 from imgu_ros.vision.estimation.settling import InlierFit
 
@@ -78,6 +78,11 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     cauchy: lambda _: {"scale": 1.0},
     tukey: lambda _: {"scale": 1.0},
     minimise: lambda rng: {"problem": Linear(rng), "start": rng.normal(size=2)},
+    accepted: lambda rng: {
+        "model": LineModel(np.column_stack((np.arange(9.0), np.zeros(9)))),
+        "proposal": Proposal(np.array([[0.0, 1.0, 0.0]]), 10),
+        "threshold": 0.5,
+    },
     ransac: lambda rng: {
         "model": LineModel(np.column_stack((np.arange(9.0), np.zeros(9)))),
         "threshold": 0.5,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
 from imgu_ros.vision.projective.checks import checked_pairs, finite
@@ -23,6 +24,14 @@ from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.minimal import HomographyModel
 from imgu_ros.vision.projective.refine import derivative_by_h, stepped
 from imgu_ros.vision.projective.reprojection import corrected_points
+from imgu_ros.vision.projective.robust import (
+    RansacParameters,
+    UsacParameters,
+    ransac_estimator,
+    usac_magsac_estimator,
+    usac_proposal,
+    usac_then_ransac_estimator,
+)
 from imgu_ros.vision.projective.transform import transform
 
 H = np.array([[1.2, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
@@ -60,6 +69,21 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     require_spread: lambda rng: {"points": rng.uniform(0, 100, (6, 2)), "name": "points"},
     homography_inhomogeneous: lambda rng: {**_pairs(rng), "covariance": np.tile(np.eye(2), (7, 1, 1))},
     HomographyModel: _pairs,
+    HomographyModel.normalised: lambda rng: {
+        "self": HomographyModel(**_pairs(rng)),
+        "H": H.copy(),
+        "inliers": np.ones(7, bool),
+    },
+    ransac_estimator: lambda rng: {"parameters": RansacParameters()},
+    usac_then_ransac_estimator: lambda rng: {"parameters": RansacParameters()},
+    usac_magsac_estimator: lambda rng: {"parameters": UsacParameters()},
+    usac_proposal: lambda rng: {
+        "model": HomographyModel(**_pairs(rng)),
+        **_pairs(rng),
+        "usac": cv2.UsacParams(),
+        "threshold_px": 3.0,
+        "rng": 3,
+    },
     derivative_by_h: lambda rng: {"H": H.copy(), "points": rng.uniform(0, 100, (5, 2))},
     stepped: lambda rng: {"H": H.copy(), "delta": rng.normal(size=8) * 0.1},
     tangent_basis: lambda _: {"H": H.copy()},
