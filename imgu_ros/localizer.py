@@ -20,8 +20,7 @@ from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference_kinds import make_detectors
-from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, Status, by_name
-from imgu_ros.stage_clock import StageClock
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, StageClock, Status, by_name
 from imgu_ros.track.refinement import Alignment
 from imgu_ros.track.tracker import follow, located
 from imgu_ros.vision.descriptors.extractor import make_extractor

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -29,6 +31,22 @@ class Stage(StrEnum):
     HOMOGRAPHY = "homography"
     REFINE = "refine"
     POSE = "pose"
+
+
+class StageClock:
+    """Sums the time that each stage takes."""
+
+    def __init__(self) -> None:
+        self.times_ns: dict[Stage, int] = {}
+
+    @contextmanager
+    def measures(self, stage: Stage) -> Iterator[None]:
+        """Add the time of the block to the stage's."""
+        start = time.perf_counter_ns()
+        try:
+            yield
+        finally:
+            self.times_ns[stage] = self.times_ns.get(stage, 0) + time.perf_counter_ns() - start
 
 
 class Status(StrEnum):

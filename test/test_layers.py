@@ -39,13 +39,13 @@ NUMERIC = {"numpy", "scipy", "cv2"}
 #: The rooms, from the bottom up: a module imports from its own room and from those before it.
 ORDER = (
     "shown_text", "errors", "arguments", "types", "file_access", "vision", "config", "frame", "image",
-    "result", "stage_clock", "reasons", "build_cache", "pose", "reference", "track", "camera_memory", "detect",
+    "result", "reasons", "build_cache", "pose", "reference", "track", "camera_memory", "detect",
     "reference_kinds", "localizer", "localizer_builder", "remarks", "process_memory", "stop_signals", "threads",
     "image_files", "messages", "files", "simulate", "report", "bags", "replay", "bench", "ros", "cli",
 )  # fmt: skip
 #: From a frame to a result: knows no message, no file and no recording.
 PIPELINE = {
-    "frame", "image", "result", "stage_clock", "reasons", "build_cache", "reference", "pose", "track", "detect",
+    "frame", "image", "result", "reasons", "build_cache", "reference", "pose", "track", "detect",
     "camera_memory", "reference_kinds", "localizer", "localizer_builder",
 }  # fmt: skip
 

@@ -12,8 +12,7 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters, PreprocessParameters
 from imgu_ros.image.frame_image import FrameImage, most_halvings
 from imgu_ros.image.preprocessing import preprocessed, with_edges
-from imgu_ros.result import Stage
-from imgu_ros.stage_clock import StageClock
+from imgu_ros.result import Stage, StageClock
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.descriptors.extractor import DetectorDescriptor, FeatureExtractor

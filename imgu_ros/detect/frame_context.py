@@ -11,8 +11,7 @@ from imgu_ros.detect.features import Features
 from imgu_ros.errors import ShapeError
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import Development, FrameImage
-from imgu_ros.result import Result, Stage
-from imgu_ros.stage_clock import StageClock
+from imgu_ros.result import Result, Stage, StageClock
 
 
 class FrameContext:

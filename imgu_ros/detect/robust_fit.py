@@ -21,8 +21,7 @@ from imgu_ros.pose.planar_pose import Located, bending, require_plausible
 from imgu_ros.reasons import why_not_found
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
-from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
-from imgu_ros.stage_clock import StageClock
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, StageClock, Status
 from imgu_ros.track.refinement import Alignment, refine_by_alignment
 from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera

@@ -19,8 +19,7 @@ from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import bending
 from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import PlanarReference
-from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
-from imgu_ros.stage_clock import StageClock
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, StageClock, Status
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.nearest import match_to_gallery

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import cached_property
@@ -13,12 +13,11 @@ from imgu_ros.config.components import OutputParameters
 from imgu_ros.errors import EstimationError
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header
-from imgu_ros.pose.map_pose import camera_in_map
+from imgu_ros.pose.map_pose import MapPlace, camera_in_map
 from imgu_ros.result import ReferenceResult, Result
 from imgu_ros.types import Image
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_fusion import FusedPose
-from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 class Scope(Enum):
@@ -75,7 +74,7 @@ class ConvertedFrame:
     make : makes messages
     result : of the frame
     parameters : those of the outputs
-    map_from_target : place of each target in the map; empty without a map
+    places : of the targets in the map, by name; empty without a map
     draw : draws a result over its image
 
     Attributes
@@ -90,13 +89,13 @@ class ConvertedFrame:
         make: MessageFactory,
         result: Result,
         parameters: OutputParameters,
-        map_from_target: Sequence[RigidTransform],
+        places: Mapping[str, MapPlace],
         draw: Callable[[Result], Image],
     ) -> None:
         self.make, self.result, self.parameters = make, result, parameters
         self.header = Header(result.frame.stamp_ns, result.frame.frame_id)
         self.map_problem = ""
-        self._map_from_target = map_from_target
+        self._places = places
         self._draw = draw
 
     @cached_property
@@ -107,10 +106,10 @@ class ConvertedFrame:
     @cached_property
     def fused(self) -> FusedPose | None:
         """`map_from_camera`, by all targets with a pose; None without one, or when they contradict each other."""
-        if not self._map_from_target:
+        if not self._places:
             return None
         try:
-            return camera_in_map(self.result, self._map_from_target, self.parameters.targets.widths_m)
+            return camera_in_map(self.result, self._places)
         except EstimationError as error:
             self.map_problem = f"targets.poses: {error}"
             return None

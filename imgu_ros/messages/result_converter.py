@@ -13,6 +13,7 @@ from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.output_topic import ConvertedFrame, OutputContext, OutputTopic, Scope
 from imgu_ros.messages.status import held_up_message
+from imgu_ros.pose.map_pose import map_places
 from imgu_ros.result import Result
 from imgu_ros.types import Image
 from imgu_ros.vision.camera.rigid import rigid_transforms
@@ -61,13 +62,14 @@ class ResultConverter:
         ImguError
             As at construction; then nothing changes.
         """
-        self._map_from_target = rigid_transforms(parameters.targets.poses, "targets.poses")
+        poses = rigid_transforms(parameters.targets.poses, "targets.poses")
+        self._places = map_places(target_names, poses, parameters.targets.widths_m)
         self._names, self._parameters = tuple(target_names), parameters
 
     @property
     def has_map(self) -> bool:
         """Whether the targets' places in the map are known."""
-        return bool(self._map_from_target)
+        return bool(self._places)
 
     def reset(self) -> None:
         """Forget earlier frames: paths begin anew."""
@@ -81,7 +83,7 @@ class ResultConverter:
                 found |= {f"{row.name}{level}": row for level in range(self._parameters.pyramid.levels)}
             elif row.scope is Scope.TARGET:
                 found |= {prefix + row.name: row for prefix in ("", *(f"targets/{name}/" for name in self._names))}
-            elif row.scope is not Scope.MAP or self._map_from_target:
+            elif row.scope is not Scope.MAP or self._places:
                 found[row.name] = row
         return found
 
@@ -90,7 +92,7 @@ class ResultConverter:
         camera = self._parameters.frames.camera
         if camera:
             result = replace(result, frame=replace(result.frame, frame_id=camera))
-        return ConvertedFrame(self._make, result, self._parameters, self._map_from_target, self._draw)
+        return ConvertedFrame(self._make, result, self._parameters, self._places, self._draw)
 
     def messages(self, frame: ConvertedFrame, is_wanted: Callable[[str], bool]) -> Iterator[TopicMessage]:
         """Yield what a frame has for each topic that is wanted.
@@ -109,7 +111,7 @@ class ResultConverter:
                     unprefixed = (row.name,) if target.number == 0 else ()
                     names = (f"targets/{target.name}/{row.name}", *unprefixed)
                     yield from self._made(row, OutputContext(frame, target), is_wanted, *names)
-            elif row.scope is not Scope.MAP or self._map_from_target:
+            elif row.scope is not Scope.MAP or self._places:
                 yield from self._made(row, OutputContext(frame), is_wanted, row.name)
 
     def held_up(self, header: Header, text: str) -> Any:

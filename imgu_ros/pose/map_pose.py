@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,36 +14,43 @@ from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_seen_
 from imgu_ros.vision.camera.rigid import RigidTransform
 
 
-def camera_in_map(
-    result: Result, map_from_target: Sequence[RigidTransform], widths_m: Sequence[float]
-) -> FusedPose | None:
-    """Return `map_from_camera`, fused over the targets by their covariances; None when no target has a pose.
+@dataclass(frozen=True, slots=True, eq=False)
+class MapPlace:
+    """Where a reference is in the map, and its printed width, m."""
 
-    Each target's own error is its alone (other pixels, other noise). The targets' places are taken as exact as long as
-    that explains what is seen. When targets contradict each other, all are taken to be misplaced, their corners by the
-    same deviation, as large as explains it.
+    map_from_reference: RigidTransform
+    width_m: float
+
+
+def map_places(names: Iterable[str], poses: Sequence[RigidTransform], widths_m: Sequence[float]) -> dict[str, MapPlace]:
+    """Return the places of references by their names; of those that have both a pose and a width."""
+    return {name: MapPlace(pose, width) for name, pose, width in zip(names, poses, widths_m, strict=False)}
+
+
+def camera_in_map(result: Result, places: Mapping[str, MapPlace]) -> FusedPose | None:
+    """Return `map_from_camera`, fused over the references by their covariances; None when none has a pose.
+
+    The error of each reference's pose is its own (other pixels, other noise). Their places are taken as exact as long
+    as that explains the poses. When references contradict each other, all are taken to be misplaced, their corners by
+    the same standard deviation, as large as explains it.
 
     Parameters
     ----------
-    result : a frame's
-    map_from_target : of each target, in the order of `targets.images`
-    widths_m : of each target with a pose
+    result : of a frame
+    places : of the references, by name
 
     Raises
     ------
     EstimationError
-        If the targets' poses contradict each other so much that no pose lies between them.
+        If the poses contradict each other so much that no pose lies between them.
     """
-    posed = [target for target in result if target.pose is not None]
-    poses = [
-        pose_seen_from(map_from_target[target.number], target.pose.inverse())
-        for target in posed
-        if target.pose is not None
-    ]
-    slack = [
-        _misplacement(map_from_target[target.number].t - pose.t, widths_m[target.number])
-        for target, pose in zip(posed, poses, strict=True)
-    ]
+    poses, slack = [], []
+    for found in result:
+        if found.pose is not None and found.name in places:
+            place = places[found.name]
+            pose = pose_seen_from(place.map_from_reference, found.pose.inverse())
+            poses.append(pose)
+            slack.append(_misplacement(place.map_from_reference.t - pose.t, place.width_m))
     return fuse_poses(poses, slack) if poses else None
 
 

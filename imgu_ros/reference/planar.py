@@ -27,10 +27,9 @@ from imgu_ros.reference.features import (
 )
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import (
-    AlignmentLevel,
-    AlignmentPictures,
-    AlignmentPyramids,
     TargetImage,
+    TemplatePyramids,
+    Templates,
     grey_template,
 )
 from imgu_ros.result import ReferenceResult
@@ -54,27 +53,22 @@ class PlanarReference(Reference):
         self,
         number: int,
         image: TargetImage,
-        templates: AlignmentPictures,
+        templates: Templates,
         front: FeaturesOnDemand,
         close: FeaturesOnDemand,
         thorough: FeaturesOnDemand,
     ) -> None:
         height, width = image.pixels.shape[:2]
-        super().__init__(image.name, number, Plane(width, height, image.width_m))
+        super().__init__(image.name, number, Plane(width, height, image.width_m), templates)
         self.image = image
         self.front = front
         self.close = close
         self.thorough = thorough
-        self._templates = templates
 
     @property
     def features(self) -> TargetFeatures:
         """Keypoints and descriptors at every scale, of a first look."""
         return self.front.features()
-
-    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
-        """See `Reference.octaves`."""
-        return self._templates.octaves(linear)
 
     def has_template_of(self, other: Reference) -> bool:
         """See `Reference.has_template_of`: the width does not matter."""
@@ -122,12 +116,12 @@ def planar_reference(image: TargetImage, number: int, parameters: Parameters, ca
     grey = cache.make(grey_template, pixels, weights)
     first, thorough = description_options(p), description_options(thorough_parameters(p))
     extractor = cache.make(make_extractor, first.extractor)
-    pyramids = cache.make(AlignmentPyramids, image, weights, p.pyramid.kernel)
+    pyramids = cache.make(TemplatePyramids, image, weights, p.pyramid.kernel)
     return cache.make(
         PlanarReference,
         number,
         image,
-        cache.make(AlignmentPictures, pyramids, p.refinement.max_points),
+        cache.make(Templates, pyramids, p.refinement.max_points),
         cache.make(_on_demand, target_features, grey, first, extractor),
         cache.make(_on_demand, close_features, grey, first, extractor),
         cache.make(_on_demand, thorough_features, grey, thorough, extractor),

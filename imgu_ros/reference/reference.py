@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from imgu_ros.config.parameters import Parameters
@@ -11,7 +12,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located
 from imgu_ros.pose.plane import Plane
-from imgu_ros.reference.templates import AlignmentLevel
+from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.result import ReferenceResult
 
 
@@ -23,6 +24,8 @@ class Reference(ABC):
     name : in topics, files and coordinate frames; unique among the references of a localizer
     number : its place in `targets.images`, which messages carry
     plane : its outline and metric frame
+    templates : its image at every octave, from fine to coarse, with the patches that are aligned with frames, by
+        whether their values are linear in the light, as those of raw frames, or sRGB
 
     Attributes
     ----------
@@ -37,22 +40,16 @@ class Reference(ABC):
 
     kind: ClassVar[str]
 
-    def __init__(self, name: str, number: int, plane: Plane) -> None:
+    def __init__(
+        self, name: str, number: int, plane: Plane, templates: Mapping[bool, Sequence[TemplateOctave]]
+    ) -> None:
         self.name = name
         self.number = number
         self.plane = plane
+        self.templates = templates
         # Attributes, not properties: the tracker reads them in every frame.
         self.size, self.width_m = plane.size, plane.width_m
         self.outline_template, self.outline_homogeneous = plane.outline, plane.outline_homogeneous
-
-    @abstractmethod
-    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
-        """Return the templates, from fine to coarse.
-
-        Parameters
-        ----------
-        linear : whether their values are linear in the light, as those of a raw frame; else they are sRGB
-        """
 
     @abstractmethod
     def has_template_of(self, other: Reference) -> bool:
@@ -93,6 +90,6 @@ class Reference(ABC):
         """
 
     def prepare(self, linear: bool) -> None:
-        """Compute what the first frame that shows another octave would have to wait for; see `octaves`."""
-        for octave in self.octaves(linear):
+        """Compute what the first frame that shows another octave would have to wait for; see `templates`."""
+        for octave in self.templates[linear]:
             _ = octave.corners

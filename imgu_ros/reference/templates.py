@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -47,13 +48,13 @@ class TargetImage:
         return self.is_linear == other.is_linear and bool(np.array_equal(self.pixels, other.pixels))
 
 
-class AlignmentLevel:
-    """A target at one scale, for alignment by patches; of a known target few octaves are ever seen.
+class TemplateOctave:
+    """A template at one scale: of a known image, few octaves are ever seen.
 
     Parameters
     ----------
-    level : the picture, uint8, and its scale
-    count : patches that are used at once
+    level : the image, uint8, and its scale
+    count : number of patches that are used at once
 
     Attributes
     ----------
@@ -63,15 +64,12 @@ class AlignmentLevel:
     def __init__(self, level: Level, count: int) -> None:
         self.level = level
         self._count = count
-        self._corners: Points | None = None
         self._patches: tuple[int, PatchBank] | None = None
 
-    @property
+    @cached_property
     def corners(self) -> Points:
-        """The points worth following, best spread first: (N, 2) px of the full-resolution target; made once."""
-        if self._corners is None:
-            self._corners = _corners(self.level, self._count)
-        return self._corners
+        """Centres of patches, best spread first: (N, 2) px of the full-resolution template."""
+        return _corners(self.level, self._count)
 
     def patches(self, window_px: int) -> PatchBank:
         """Return the patches about the corners, in the level's px; those of the last size are kept."""
@@ -82,55 +80,54 @@ class AlignmentLevel:
         return kept[1]
 
 
-class AlignmentPyramids:
-    """A target's picture at every octave, with values that go with the light, or those of sRGB; made when asked for.
+class TemplatePyramids(dict[bool, tuple[Level, ...]]):
+    """The octaves of an image, from fine to coarse, by whether their values are linear in the light or sRGB.
+
+    Each pyramid is computed when it is first asked for.
 
     Parameters
     ----------
-    image : the picture
-    grey_weights : of red, green and blue; not used for a grey picture
+    image : the image
+    grey_weights : of red, green and blue; not used for a grey image
     kernel : of the pyramid
     """
 
     def __init__(self, image: TargetImage, grey_weights: tuple[float, ...], kernel: str) -> None:
+        super().__init__()
         self._image = image
         self._grey_weights = grey_weights
         self._kernel = kernel
-        self._made: dict[bool, tuple[Level, ...]] = {}
 
-    def levels(self, linear: bool) -> tuple[Level, ...]:
-        """Return the octaves, from fine to coarse."""
-        if linear not in self._made:
-            pixels = self._image.pixels
-            if linear != self._image.is_linear:
-                pixels = linear_from_srgb(pixels) if linear else srgb_from_linear(pixels)
-            grey = grey_template(pixels, self._grey_weights)
-            self._made[linear] = build_pyramid(
-                grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=self._kernel
-            ).levels
-        return self._made[linear]
+    def __missing__(self, linear: bool) -> tuple[Level, ...]:
+        pixels = self._image.pixels
+        if linear != self._image.is_linear:
+            pixels = linear_from_srgb(pixels) if linear else srgb_from_linear(pixels)
+        grey = grey_template(pixels, self._grey_weights)
+        self[linear] = build_pyramid(grey, PyramidKind.COARSE, levels=8, min_side_px=24, kernel=self._kernel).levels
+        return self[linear]
+
+    __hash__ = object.__hash__  # type: ignore[assignment]  # a key of the build cache, by identity
 
 
-class AlignmentPictures:
-    """A target's picture at every octave, as frames show it, with its points worth following; made when asked for.
+class Templates(dict[bool, tuple[TemplateOctave, ...]]):
+    """The octaves of `TemplatePyramids` with their patches; computed when they are first asked for.
 
     Parameters
     ----------
-    pyramids : the picture
-    max_points : patches that are used at once
+    pyramids : of the image
+    max_points : number of patches that are used at once
     """
 
-    def __init__(self, pyramids: AlignmentPyramids, max_points: int) -> None:
+    def __init__(self, pyramids: TemplatePyramids, max_points: int) -> None:
+        super().__init__()
         self._pyramids = pyramids
         self._max_points = max_points
-        self._made: dict[bool, tuple[AlignmentLevel, ...]] = {}
 
-    def octaves(self, linear: bool) -> tuple[AlignmentLevel, ...]:
-        """Return the octaves, from fine to coarse, with values that go with the light, or those of sRGB."""
-        if linear not in self._made:
-            levels = self._pyramids.levels(linear)
-            self._made[linear] = tuple(AlignmentLevel(level, self._max_points) for level in levels)
-        return self._made[linear]
+    def __missing__(self, linear: bool) -> tuple[TemplateOctave, ...]:
+        self[linear] = tuple(TemplateOctave(level, self._max_points) for level in self._pyramids[linear])
+        return self[linear]
+
+    __hash__ = object.__hash__  # type: ignore[assignment]  # a key of the build cache, by identity
 
 
 def grey_template(pixels: Image, weights: tuple[float, ...]) -> Image:

@@ -18,7 +18,7 @@ import numpy as np
 from imgu_ros.errors import NotConfirmed
 from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.reference.reference import Reference
-from imgu_ros.reference.templates import AlignmentLevel
+from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 
@@ -108,7 +108,7 @@ def confirmed_share(
     in_view = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
     area = _median_area(corners.reshape(rows + 1, columns + 1, 2)) / n**2
     seen = _seen(pictures, H @ A, camera, size, area)
-    octaves = target.octaves(pictures.is_linear)
+    octaves = target.templates[pictures.is_linear]
     return _alike(_drawn(octaves, A, size), seen, in_view.ravel(), comparison)
 
 
@@ -143,7 +143,7 @@ def _median_area(corners: Floats) -> float:
     return float(np.median(np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])))
 
 
-def _drawn(octaves: Sequence[AlignmentLevel], A: Matrix3, size: tuple[int, int]) -> Image:
+def _drawn(octaves: Sequence[TemplateOctave], A: Matrix3, size: tuple[int, int]) -> Image:
     """Return the target at the samples, from the level whose pixels are about as far apart."""
     scales = np.array([octave.level.scale for octave in octaves])
     level = octaves[int(np.argmin(np.abs(np.log(scales / math.sqrt(A[0, 0] * A[1, 1])))))].level

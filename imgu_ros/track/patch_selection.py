@@ -99,7 +99,7 @@ def fitting_bank(target: Reference, linear: bool, H: Matrix3, scale: float, wind
     """
     width, height = target.size
     pixels = math.sqrt(area_factor(H, ((width - 1) / 2, (height - 1) / 2))) * scale
-    nearest = sorted(target.octaves(linear), key=lambda octave: abs(math.log(octave.level.scale * max(pixels, 1e-9))))
+    nearest = sorted(target.templates[linear], key=lambda octave: abs(math.log(octave.level.scale * max(pixels, 1e-9))))
     best = next((octave for octave in nearest if len(octave.corners)), None)
     if best is None:
         raise NoConsensus("patches: the target has none; need texture")

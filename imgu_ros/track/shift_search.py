@@ -12,7 +12,7 @@ import numpy as np
 from imgu_ros.errors import NoConsensus
 from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.reference.reference import Reference
-from imgu_ros.reference.templates import AlignmentLevel
+from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.projective.transform import local_jacobian
@@ -46,7 +46,7 @@ def shifted_homography(
     NoConsensus
         If nothing in reach looks like the target.
     """
-    octave = _small(target.octaves(pictures.is_linear))
+    octave = _small(target.templates[pictures.is_linear])
     image = octave.level.image
     height, width = image.shape
     sx, sy = octave.level.step
@@ -84,10 +84,10 @@ def shifted_homography(
     return np.asarray(frame_from_octave @ shift @ np.linalg.inv(template_from_octave), np.float64)
 
 
-def _small(octaves: Sequence[AlignmentLevel]) -> AlignmentLevel:
+def _small(octaves: Sequence[TemplateOctave]) -> TemplateOctave:
     """Return the octave whose shorter side is nearest to the one that is compared."""
 
-    def off(octave: AlignmentLevel) -> float:
+    def off(octave: TemplateOctave) -> float:
         return abs(math.log(min(octave.level.image.shape) / _SIDE_PX))
 
     return min(octaves, key=off)

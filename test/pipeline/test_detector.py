@@ -18,13 +18,12 @@ from imgu_ros.localizer import Localizer
 from imgu_ros.reference.features import extractor_options, thorough_parameters
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import prepare_references
-from imgu_ros.result import Status
+from imgu_ros.result import StageClock, Status
 from imgu_ros.simulate.conditions import condition_named
 from imgu_ros.simulate.sequence import SimulatedFrame, default_targets
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
 from imgu_ros.simulate.truth import corner_error
-from imgu_ros.stage_clock import StageClock
 from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.projective.transform import transform

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from imgu_ros.track.frame_times import FrameTimes
+from imgu_ros.camera_memory import FrameTimes
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.pose.map_pose import camera_in_map
+from imgu_ros.pose.map_pose import camera_in_map, map_places
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
@@ -30,7 +30,7 @@ MAP_FROM_TARGET = (
     RigidTransform(Rotation.from_euler("z", 30, degrees=True).as_matrix(), np.array([0.3, -0.2, 0.0])),
     RigidTransform(Rotation.from_euler("y", -50, degrees=True).as_matrix(), np.array([1.0, 0.2, 0.4])),
 )
-WIDTHS_M = (0.4, 0.4, 0.4)
+PLACES = map_places(("t0", "t1", "t2"), MAP_FROM_TARGET, (0.4, 0.4, 0.4))
 #: Before the wall, looking at it a little from the side.
 CAMERA = RigidTransform(
     (Rotation.from_euler("x", 180, degrees=True) * Rotation.from_euler("yx", [14, 8], degrees=True)).as_matrix(),
@@ -56,7 +56,7 @@ def seen(seed: int, map_from_target: tuple[RigidTransform, ...] = MAP_FROM_TARGE
 
 def errors(result: Result) -> tuple[float, float]:
     """Return the position's error in metres, and the pose's squared error in units of its covariance."""
-    fused = camera_in_map(result, MAP_FROM_TARGET, WIDTHS_M)
+    fused = camera_in_map(result, PLACES)
     assert fused is not None
     pose = fused.pose
     turn = (Rotation.from_matrix(CAMERA.R) * Rotation.from_matrix(pose.R).inv()).as_rotvec()
@@ -80,7 +80,7 @@ def test_more_planes_give_a_better_pose_and_an_honest_covariance() -> None:
 def test_a_target_at_another_place_than_told_is_noticed() -> None:
     moved = RigidTransform(MAP_FROM_TARGET[1].R, MAP_FROM_TARGET[1].t + [0.2, 0, 0])
     result = seen(1, (MAP_FROM_TARGET[0], moved, MAP_FROM_TARGET[2]))
-    fused = camera_in_map(result, MAP_FROM_TARGET, WIDTHS_M)
+    fused = camera_in_map(result, PLACES)
     assert fused is not None
     assert fused.disagreement > 100
     # Nobody can say which; what is wrong is within what the covariance says.
@@ -110,7 +110,7 @@ def test_places_measured_by_hand_give_honest_covariances() -> None:
 
 
 def test_without_a_pose_there_is_none() -> None:
-    assert camera_in_map(only(seen(0)), MAP_FROM_TARGET, WIDTHS_M) is None
+    assert camera_in_map(only(seen(0)), PLACES) is None
 
 
 def test_the_chain_on_simulated_frames_of_two_targets() -> None:
@@ -130,7 +130,9 @@ def test_the_chain_on_simulated_frames_of_two_targets() -> None:
         truth = first.inverse()
 
         def placed(*kept: int, result: Result = result, places: tuple[RigidTransform, ...] = places) -> Pose:
-            fused = camera_in_map(only(result, *kept), places, (0.3, 0.3))
+            fused = camera_in_map(
+                only(result, *kept), map_places([known.name for known in targets], places, (0.3, 0.3))
+            )
             assert fused is not None
             return fused.pose
 

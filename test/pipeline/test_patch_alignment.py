@@ -14,7 +14,7 @@ from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.reference.reference import Reference
-from imgu_ros.reference.templates import AlignmentPictures, AlignmentPyramids, TargetImage
+from imgu_ros.reference.templates import TargetImage, TemplatePyramids, Templates
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track import patch_selection as patch_view
@@ -130,8 +130,8 @@ def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Refer
         scaled = np.array([[scale, 0, (1 - scale) * x], [0, scale, (1 - scale) * y], [0, 0, 1]]) @ H
         with pytest.raises(EstimationError):
             follow_patches(pictures, 0, target, scaled, None, EFFORT)
-    blank = AlignmentPictures(
-        AlignmentPyramids(TargetImage("blank", np.full((300, 400), 90, np.uint8), 0.5), (), "sampled"), max_points=150
+    blank = Templates(
+        TemplatePyramids(TargetImage("blank", np.full((300, 400), 90, np.uint8), 0.5), (), "sampled"), max_points=150
     )
     with pytest.raises(NoConsensus, match="the target has none"):
         follow_patches(

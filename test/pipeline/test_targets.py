@@ -26,7 +26,7 @@ def test_described_at_every_scale(targets: tuple[Reference, ...]) -> None:
     octaves = np.unique(targets[0].features.described.keypoints.octave)
     assert len(octaves) >= 8
     assert len(targets[0].features.described.keypoints) == len(targets[0].features.described.descriptors)
-    assert all(len(a.corners) > 20 for a in targets[0].octaves(linear=True)[:3])
+    assert all(len(a.corners) > 20 for a in targets[0].templates[True][:3])
 
 
 @pytest.mark.parametrize(

@@ -19,14 +19,13 @@ from imgu_ros.messages.image import decode_image
 from imgu_ros.messages.reduced_info import Covered, decode_covered
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.templates import TargetImage
-from imgu_ros.result import Result
+from imgu_ros.result import Result, StageClock
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.pyramid import LEVELS, LEVELS_INFO
 from imgu_ros.ros.stages.stage import Stage, frame_without_image, picture_feed, reduced_info_beside
 from imgu_ros.ros.stopping import StopSignal
-from imgu_ros.stage_clock import StageClock
 from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.extractor import DetectorDescriptor, FeatureExtractor, make_extractor
 from imgu_ros.vision.scale_space.pyramid import Level, Pyramid

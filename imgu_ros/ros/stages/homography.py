@@ -23,7 +23,7 @@ from imgu_ros.messages.reduced_info import image_size
 from imgu_ros.pose.planar_pose import Located, with_homography
 from imgu_ros.reasons import no_matches
 from imgu_ros.reference.templates import TargetImage
-from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, StageClock, Status, by_name
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.input import StageJob, StageTopics
@@ -38,7 +38,6 @@ from imgu_ros.ros.stages.stage import (
     unusable,
 )
 from imgu_ros.ros.stopping import StopSignal
-from imgu_ros.stage_clock import StageClock
 from imgu_ros.vision.matching.matches import Matches
 
 #: What each homography was fitted to: the columns of `matches`.
