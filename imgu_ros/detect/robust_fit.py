@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -140,8 +141,12 @@ def _missing(target: ReferenceResult, error: EstimationError, matches: int, para
 
 
 def draws(parameters: Parameters, stamp_ns: int, reference: Reference) -> np.random.Generator:
-    """Return the stream of draws of one frame and target: a skipped frame changes no other frame's draws."""
-    return np.random.default_rng((parameters.seed, stamp_ns % 2**64, reference.number))
+    """Return the random generator of one frame and reference.
+
+    It depends on the reference's name: a skipped frame, or another reference more or less, changes no other draws.
+    """
+    name = zlib.crc32(reference.name.encode("utf-8", "surrogatepass"))
+    return np.random.default_rng((parameters.seed, stamp_ns % 2**64, name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
