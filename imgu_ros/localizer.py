@@ -21,7 +21,7 @@ from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference_kinds import make_detectors
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, StageClock, Status, by_name
-from imgu_ros.track.refinement import Alignment
+from imgu_ros.track.patch_alignment import PatchAlignment
 from imgu_ros.track.tracker import follow, located
 from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.matching.matches import Matches
@@ -199,7 +199,7 @@ def _lost(reference: Reference, is_due: bool) -> ReferenceResult:
     return ReferenceResult(reference.name, reference.number, Status.LOST, reason=UNLIKELY if is_due else NOT_DUE)
 
 
-def _tracked(reference: Reference, alignment: Alignment) -> ReferenceResult:
+def _tracked(reference: Reference, alignment: PatchAlignment) -> ReferenceResult:
     """Return the result of a reference that is tracked: its matches are the aligned patches, which all agree."""
     count = len(alignment.template_xy)
     none = np.full(count, -1, np.intp)

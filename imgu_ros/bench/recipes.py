@@ -24,6 +24,7 @@ from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 FEATURES = 1000
 RATIO = 0.75
@@ -134,7 +135,7 @@ class Recipe:
             raise ParameterError(f"target {target.name}: no features; need a picture with texture")
         xy = np.array(cv2.KeyPoint.convert(keypoints), np.float64).reshape(-1, 2)
         # Pixel centres are at integers: outer edges are mapped to outer edges.
-        xy = (xy + 0.5) * (width / grey.shape[1], height / grey.shape[0]) - 0.5
+        xy = PixelScaling((width / grey.shape[1], height / grey.shape[0])).to_full(xy)
         middle = np.array([(width - 1) / 2, (height - 1) / 2])
         metres = (xy - middle) * (target.width_m / width) * (1, -1)
         return _Known(

@@ -23,7 +23,7 @@ from imgu_ros.reasons import why_not_found
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, StageClock, Status
-from imgu_ros.track.refinement import Alignment, refine_by_alignment
+from imgu_ros.track.patch_alignment import PatchAlignment, align_patches
 from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.methods import ESTIMATORS, EstimatorMethod
@@ -108,7 +108,11 @@ def located(
                 aligned = _aligned(known, sight.pictures, H, lens, parameters)
             if aligned is not None:
                 place = Located(
-                    aligned.template_xy, aligned.image_xy, aligned.homography, aligned.condensed, aligned.halvings
+                    aligned.template_xy,
+                    aligned.image_xy,
+                    aligned.homography,
+                    aligned.normal_equations,
+                    aligned.halvings,
                 )
                 share = aligned.agreeing_share
                 is_confirmed = share >= _CONFIRMING_SHARE
@@ -220,10 +224,10 @@ def _fitted(agreed: _Agreed, matches: ReferenceMatches, parameters: Parameters) 
 
 def _aligned(
     target: Reference, pictures: FrameImage, H: Matrix3, lens: Camera | None, parameters: Parameters
-) -> Alignment | None:
+) -> PatchAlignment | None:
     """Return the refined location; None when the patches do not agree."""
     try:
-        aligned = refine_by_alignment(
+        aligned = align_patches(
             pictures,
             target,
             H,

@@ -21,7 +21,7 @@ from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.metrics import Metric, metric_for
 from imgu_ros.vision.methods import DESCRIPTORS, DETECTORS
-from imgu_ros.vision.scale_space.pyramid import PyramidKind, band_passed, build_pyramid
+from imgu_ros.vision.scale_space.pyramid import PixelScaling, PyramidKind, band_passed, build_pyramid
 
 #: Largest size at which a reference is described, in the frame's longer side. Measured: benchmarks/thresholds.py, study
 #: detection.
@@ -183,7 +183,7 @@ def close_features(grey: Image, options: DescriptionOptions, extractor: FeatureE
     described = _described(enlarged, o, extractor, round(_CLOSE_RICHNESS * o.max_count), scales)
     factor = enlarged.shape[0] / grey.shape[0]
     k = described.keypoints
-    keypoints = replace(k, xy=(k.xy + 0.5) / factor - 0.5, scale=k.scale / factor)
+    keypoints = replace(k, xy=PixelScaling(factor).from_full_unchecked(k.xy), scale=k.scale / factor)
     return _gathered(Descriptions(keypoints, described.descriptors), o)
 
 
@@ -220,7 +220,7 @@ def _oblique(
     view = cv2.resize(turned, (columns // _SHORTENING, rows), interpolation=cv2.INTER_AREA)
     described = _described(view, options, extractor, max(1, round(_OBLIQUE_RICHNESS * options.max_count)))
     k = described.keypoints
-    xy = ((k.xy + 0.5) * (_SHORTENING, 1) - 0.5 + offset) @ R
+    xy = (PixelScaling((_SHORTENING, 1.0)).to_full_unchecked(k.xy) + offset) @ R
     inside = np.flatnonzero(((xy >= 0) & (xy <= (width - 1, height - 1))).all(axis=1))
     from_front = Keypoints(xy, k.scale * math.sqrt(_SHORTENING), k.angle, k.response, k.octave)
     return Descriptions(from_front.chosen(inside), described.descriptors[inside])

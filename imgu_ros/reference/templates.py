@@ -14,7 +14,7 @@ from imgu_ros.types import Image, Points
 from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
-from imgu_ros.vision.scale_space.pyramid import Level, PyramidKind, build_pyramid
+from imgu_ros.vision.scale_space.pyramid import Level, PixelScaling, PyramidKind, build_pyramid
 
 #: Weakest corner for a patch, as a share of the strongest response. Measured: benchmarks/thresholds.py, study tracking.
 _CORNER_QUALITY = 0.005
@@ -59,10 +59,13 @@ class TemplateOctave:
     Attributes
     ----------
     level : as given
+    scaling : between the template and the level
+    scale : template px in one px of the level
     """
 
     def __init__(self, level: Level, count: int) -> None:
         self.level = level
+        self.scaling, self.scale = PixelScaling(level.step), level.scale
         self._count = count
         self._patches: tuple[int, PatchBank] | None = None
 

@@ -21,6 +21,7 @@ from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: Standard deviation of a cell of the reference, grey values, below which it has too little contrast to count.
 #: Measured: benchmarks/thresholds.py, study confirmation.
@@ -147,8 +148,7 @@ def _drawn(octaves: Sequence[TemplateOctave], A: Matrix3, size: tuple[int, int])
     """Return the target at the samples, from the level whose pixels are about as far apart."""
     scales = np.array([octave.level.scale for octave in octaves])
     level = octaves[int(np.argmin(np.abs(np.log(scales / math.sqrt(A[0, 0] * A[1, 1])))))].level
-    M = np.diag((*(1 / level.step), 1.0)) @ A
-    M[:2, 2] += 0.5 / level.step - 0.5
+    M = PixelScaling(level.step).reduced_from_full @ A
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(level.image, M[:2], size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
@@ -156,14 +156,14 @@ def _drawn(octaves: Sequence[TemplateOctave], A: Matrix3, size: tuple[int, int])
 def _seen(pictures: FrameImage, H: Matrix3, camera: Camera | None, size: tuple[int, int], area: float) -> Image:
     """Return the frame at the samples, from the picture whose pixels are about as far apart."""
     halvings = min(round(math.log2(max(math.sqrt(area), 1.0))), pictures.most_halvings)
-    picture, s = pictures.halved(halvings), 0.5**halvings
+    picture, scaling = pictures.halved(halvings), PixelScaling(2.0**halvings)
     if camera is None:
-        M = np.array([[s, 0, 0.5 * s - 0.5], [0, s, 0.5 * s - 0.5], [0, 0, 1]]) @ H
+        M = scaling.reduced_from_full @ H
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return cv2.warpPerspective(picture, M, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     x, y = (np.arange(count, dtype=np.float64) for count in size)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    at = ((_raw(grid, H, camera) + 0.5) * s - 0.5).astype(np.float32).reshape(size[1], size[0], 2)
+    at = scaling.from_full_unchecked(_raw(grid, H, camera)).astype(np.float32).reshape(size[1], size[0], 2)
     map_x, map_y = (np.ascontiguousarray(at[..., axis]) for axis in (0, 1))
     return cv2.remap(picture, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 

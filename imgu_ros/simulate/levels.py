@@ -10,6 +10,7 @@ import numpy as np
 
 from imgu_ros.types import Image, Matrix3, as_image
 from imgu_ros.vision.formation.transfer import light_of_srgb
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: Level planes: red, green, blue, and their luminance.
 PLANES = ("r", "g", "b", "y")
@@ -54,7 +55,8 @@ class Levels:
         """Return the (3, 3) map from template pixels to the level's pixels; outer edges map to outer edges."""
         width, height = self._level_size(level)
         sx, sy = width / self._width, height / self._height
-        return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+        # Of the two images, the template is the reduced one in the sense of the class: sx level px in one of its px.
+        return PixelScaling((sx, sy)).full_from_reduced
 
     def plane(self, level: int, name: str) -> Image:
         """Return one plane ("r", "g", "b" or "y") of a level: (h, w) float32 reflectance in [0, 1]."""

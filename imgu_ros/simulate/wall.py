@@ -13,6 +13,7 @@ from imgu_ros.simulate.optics import PlaneMap
 from imgu_ros.simulate.texture import wall_texture
 from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 _SIDE_PX = 1024
 #: The texture repeats after this many scene radii.
@@ -43,8 +44,7 @@ class Wall:
 
     def level_from_wall(self, level: int) -> Matrix3:
         """Return the (3, 3) map from texels to the level's pixels."""
-        s = 0.5**level
-        return np.array([[s, 0, (s - 1) / 2], [0, s, (s - 1) / 2], [0, 0, 1]])
+        return PixelScaling(2.0**level).reduced_from_full
 
     def roughness(self, level: int, m: PlaneMap) -> Image:
         """Return the wall's relative reflectance, (rows, columns) float32 around 1; beyond its horizon 1."""

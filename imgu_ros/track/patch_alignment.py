@@ -1,23 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding a target's patches in a frame, at one resolution: align, fit the motion that most agree on, and again."""
+"""Alignment of a reference's patches with a frame, from coarse to full resolution."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from imgu_ros.errors import NoConsensus
+from imgu_ros.config.parameters import RefinementParameters
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
+from imgu_ros.pose.planar_pose import seen_outline
 from imgu_ros.reference.reference import Reference
-from imgu_ros.track.patch_selection import Bank, Reduction, fitting_bank, in_view, mapped, sheet_of
-from imgu_ros.types import Floats, Mask, Matrix3, Points
+from imgu_ros.reference.templates import TemplateOctave
+from imgu_ros.types import Image, Indices, Matrix3, Points
+from imgu_ros.vision.camera.distortion import bend
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.matching.alignment import Patches
-from imgu_ros.vision.matching.blur_gain import BlurGain
-from imgu_ros.vision.projective.homography import HomographyNormalEquations, homography_normal_equations
-from imgu_ros.vision.projective.plane_motion import Motion
+from imgu_ros.vision.matching.patch_atlas import LONGEST_PX, PatchAtlas
+from imgu_ros.vision.matching.patch_bank import LocalDistortion, PatchBank
+from imgu_ros.vision.projective.homography import (
+    HomographyEstimate,
+    HomographyNormalEquations,
+    homography_normal_equations_unchecked,
+)
+from imgu_ros.vision.projective.plane_motion import BlurGain, Motion
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
+#: Largest error that patches bridge, px of the level in which they are aligned. Measured: benchmarks/thresholds.py,
+#: study reach.
+_REACH_PX = 3.0
+#: Smallest side of the reference in the coarsest level. Measured: benchmarks/thresholds.py, study reach.
+_COARSEST_SIDE_PX = 60
+#: Number of halvings from one level to the next. Measured: benchmarks/thresholds.py, study reach.
+_STRIDE = 2
+#: Levels halved more often give a start, not a result. Measured: benchmarks/thresholds.py, study blur.
+_COARSEST_RESULT = 2
+#: Share of the patches that must agree in a reduced level. Measured: benchmarks/thresholds.py, study tracking.
+_COARSE_SHARE = 0.5
+#: Below this blur gain, patches of a reduced level are more accurate than those of full resolution. Measured:
+#: benchmarks/thresholds.py, study blur.
+_BLURRED = 0.6
+#: Number of patches in a level that gives a start. Measured: benchmarks/thresholds.py, study reach.
+_COARSE_PATCHES = 80
+#: Most iterations in a level that gives a start. Measured: benchmarks/thresholds.py, study reach.
+_COARSE_STEPS = 8
+#: Motion below which iterations stop in such a level, px of the level. Measured: benchmarks/thresholds.py, study reach.
+_COARSE_ENOUGH_PX = 0.2
+#: Most iterations in the level that gives the result. Measured: benchmarks/thresholds.py, study tracking.
+_FINE_STEPS = 10
+#: Motion below which iterations stop there, px of the level: the last fit is exact to first order in it. Measured:
+#: benchmarks/thresholds.py, study tracking.
+_FINE_ENOUGH_PX = 0.15
 #: Smallest correlation of a patch that is used. Measured: benchmarks/thresholds.py, study tracking.
 _MIN_SIMILARITY = 0.5
 #: Largest displacement of a patch that is used, as a share of its side. Measured: benchmarks/thresholds.py, study
@@ -44,77 +79,28 @@ _BLURRED_SHARE = 0.2
 #: With fewer patches an affine motion is fitted: two parameters less. Measured: benchmarks/thresholds.py, study
 #: tracking.
 _ENOUGH_FOR_PROJECTIVE = 40
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Followed:
-    """Patches that were found.
-
-    Attributes
-    ----------
-    H : H_image_template in ideal px, the motion that most agree on
-    sought : how many were tried
-    agreeing : how many agree
-    bank : of the target's patches
-    patches : those that were tried
-    displacements : (N, 2) px of the bank, at `H_before`
-    usable : (N,) those that look alike and near enough
-    motion : what they make
-    H_before : (3, 3) ideal px from the bank's px, without the motion
-    settled : whether the last round hardly moved a patch
-    response : how far displacements go in the picture's most blurred direction, 1 where it is as sharp as the target
-    """
-
-    H: Matrix3
-    sought: int
-    agreeing: int
-    bank: Bank
-    patches: Patches
-    displacements: Points
-    usable: Mask
-    motion: Motion
-    H_before: Matrix3
-    settled: bool
-    response: float
-
-    def condensed(self, min_points: int) -> HomographyNormalEquations:
-        """Return H_image_template with its covariance, in ideal px, of the patches that are not improbably far off.
-
-        Raises
-        ------
-        NoConsensus, DegenerateConfiguration
-            If there are too few, or they do not determine it.
-        """
-        return homography_normal_equations(
-            self.patches.motions(affine=False),
-            self.displacements,
-            self.motion,
-            self.H_before,
-            self.bank.bank_from_template,
-            self.patches.overlap,
-            max(min_points, 5),
-            self.usable,
-        )
-
-    def template_xy(self, chosen: Mask) -> Points:
-        """Return some of the patches' centres, template px."""
-        return self.bank.template_xy(self.patches.centres[chosen])
-
-    def ideal_xy(self, chosen: Mask) -> Points:
-        """Return where some of the patches are seen, ideal px."""
-        return mapped(self.H_before, self.patches.centres[chosen] - self.displacements[chosen])
+#: Margin around the patches of an atlas, px: for their motion, for interpolation, and for demosaicking. Measured:
+#: benchmarks/thresholds.py, study tracking.
+_SHEET_ROOM_PX = 4
+#: Largest area of an atlas, as a share of the frame: a larger one saves nothing. Measured: benchmarks/thresholds.py,
+#: study tracking.
+_SHEET_SHARE = 0.4
+#: Factor by which lens distortion may enlarge patches. Measured: benchmarks/thresholds.py, study tracking.
+_MOST_STRETCHED = 1.3
+#: Scaling of a frame halved so many times; no frame can be halved more often.
+_HALVED = tuple(PixelScaling(2.0**times) for times in range(16))
 
 
 @dataclass(frozen=True, slots=True)
 class AlignmentOptions:
-    """How hard to look.
+    """Limits of an alignment with one level of the frame.
 
     Attributes
     ----------
-    window_px : side of a patch, px of the picture
+    window_px : side of a patch, px of the level
     most, fewest : number of patches
-    steps : most rounds of alignment
-    enough_px : a round that moves no patch farther is the last one, px of the picture; less where it is blurred
+    steps : most iterations
+    enough_px : an iteration that moves no patch farther is the last one, px of the level; less where it is blurred
     """
 
     window_px: int
@@ -124,90 +110,341 @@ class AlignmentOptions:
     enough_px: float
 
 
-def follow_patches(
-    pictures: FrameImage, halvings: int, target: Reference, H: Matrix3, camera: Camera | None, effort: AlignmentOptions
-) -> Followed:
-    """Find a target's patches in a frame's picture.
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchAlignment:
+    """A reference found in a frame by the alignment of its patches.
+
+    Attributes
+    ----------
+    template_xy, image_xy : (N, 2) correspondences of the patches that agree, template px and raw px
+    homography : H_image_template in ideal px
+    normal_equations : of the correspondences, all of them inliers
+    sought : number of patches that were aligned
+    halvings : of the finest level in which they agree; 0: full resolution
+    agreeing_share : share of the patches that agree, 0 to 1
+    """
+
+    template_xy: Points
+    image_xy: Points
+    homography: HomographyEstimate
+    normal_equations: HomographyNormalEquations
+    sought: int
+    halvings: int
+    agreeing_share: float
+
+
+def align_patches(
+    pictures: FrameImage,
+    target: Reference,
+    H: Matrix3,
+    camera: Camera | None,
+    parameters: RefinementParameters,
+    min_points: int,
+    reach_px: float,
+) -> PatchAlignment:
+    """Align a reference with a frame, starting from a homography that is nearly right.
+
+    Where full resolution shows no patches (blur), the result is that of a reduced level.
 
     Parameters
     ----------
-    pictures, halvings : the frame's picture, halved so many times
-    target : the target
-    H : H_image_template in ideal px, right to some px of that picture
+    pictures : the frame's
+    target : the reference
+    H : H_image_template in ideal px (raw px without a distorted camera)
     camera : intrinsics when the lens distorts; else None
-    effort : how hard to look
+    parameters : number and size of the patches
+    min_points : fewest patches that must agree
+    reach_px : largest error of H, raw px
+
+    Raises
+    ------
+    NoConsensus, TooFewPoints, DegenerateConfiguration
+        If the patches do not agree on a homography.
+    """
+    found: LevelAlignment | None = None
+    failure: EstimationError | None = None
+    for halvings in [*range(_first_halvings(pictures, target, H, reach_px), 0, -_STRIDE), 0]:
+        try:
+            options = _options(parameters, min_points, for_result=halvings == 0)
+            found = LevelAlignment(pictures, halvings, target, found.H if found else H, camera, options)
+        except EstimationError as error:
+            # Its traceback holds this function's variables, which hold the error: the frame would stay in memory.
+            failure = error.with_traceback(None)
+            # A result of a reduced level stands; without one, a finer level may have one.
+            if found is not None:
+                break
+    if found is not None and found.halvings == 0 and found.gain < _BLURRED:
+        found = _reduced_instead(pictures, target, found, camera, _options(parameters, min_points, for_result=True))
+    if found is None or (found.halvings > 0 and not _stands_alone(found)):
+        try:
+            raise failure or NoConsensus("patches: not found")
+        finally:
+            del failure
+    if not found.converged:
+        raise NoConsensus(f"patches: they still move by {found.largest_px:.2f} px; need a better start")
+    return found.result(min_points)
+
+
+class LevelAlignment:
+    """The alignment of a reference's patches with one level of the frame's pyramid.
+
+    Parameters
+    ----------
+    pictures, halvings : the frame, halved so many times
+    target : the reference
+    H : H_image_template in ideal px, right to some px of the level
+    camera : intrinsics when the lens distorts; else None
+    options : limits
+
+    Attributes
+    ----------
+    H : H_image_template in ideal px, the motion that most patches agree with
+    sought, agreeing : number of patches aligned, and of those that agree
+    halvings : as given
+    largest_px : motion of the patches in the last iteration, px of the reference's level
+    converged : whether that is small
+    gain : of displacements in the frame's most blurred direction, 1 where it is as sharp as the reference
 
     Raises
     ------
     NoConsensus
         If too few patches are in view, are found or agree.
     """
-    reduced = Reduction(0.5**halvings)
-    bank = fitting_bank(target, pictures.is_linear, H, reduced.scale, effort.window_px)
-    picture_from_bank = reduced.matrix @ H @ bank.template_from_bank
-    shape = (pictures.shape[0] >> halvings, pictures.shape[1] >> halvings)
-    seen_at = in_view(bank.patches, picture_from_bank, shape, reduced, camera, effort.window_px, effort.most)
-    chosen = seen_at.chosen
-    if len(chosen) < effort.fewest:
-        raise NoConsensus(f"patches: {len(chosen)} in view; need {effort.fewest}")
-    patches = bank.patches.select(chosen)
-    centres = patches.centres
-    motions = patches.motions(affine=len(chosen) < _ENOUGH_FOR_PROJECTIVE)
-    sheet = None
-    if halvings == 0:
-        sheet = sheet_of(patches, seen_at.xy, picture_from_bank, shape, effort.window_px, bent=camera is not None)
-    picture = pictures.halved(halvings) if sheet is None else pictures.cut(sheet)
-    farthest = _FARTHEST_SHARE * effort.window_px
-    motion: Motion | None = None
-    response = BlurGain()
-    measured = np.zeros((0, 2))
-    # The first rounds are a scout's: some patches tell where the others are.
-    count = _SCOUTS if len(chosen) > 2 * _SCOUTS else len(chosen)
-    for _ in range(effort.steps):
-        lens = None if camera is None else reduced.bend(camera, picture_from_bank, centres[:count])
-        seen = patches.displacements(patches.sampled(picture, picture_from_bank, lens, sheet, count))
-        usable = (seen.similarity > _MIN_SIMILARITY) & (np.abs(seen.xy).max(axis=1) < farthest)
-        if motion is not None:
-            both = usable[: len(motion.agreeing)] & motion.agreeing
-            applied = motions.displacements(motion, len(both))[both]
-            response.learn(applied, (measured - seen.xy[: len(both)])[both])
-        measured = seen.xy
-        displacements = response.corrected(measured)
-        # From a poor start few look alike, near the middle; they bring the others near.
-        if np.count_nonzero(usable) < _FEWEST_AT_FIRST:
-            raise NoConsensus(f"patches: {np.count_nonzero(usable)} of {count} look alike; need {_FEWEST_AT_FIRST}")
-        motion = motions.fit(displacements, usable, before=motion)
-        # The picture at W(c - d) shows c: W is followed by the inverse of the motion by d.
-        before = picture_from_bank
-        picture_from_bank = before @ motions.inverse(motion.parameters)
-        if count < len(chosen):
-            if motion.largest_px < _SCOUTED_PX:
-                count = len(chosen)
-        elif motion.largest_px < effort.enough_px * (1.0 if _is_sharp(seen.similarity) else _BLURRED_SHARE):
+
+    def __init__(
+        self,
+        pictures: FrameImage,
+        halvings: int,
+        target: Reference,
+        H: Matrix3,
+        camera: Camera | None,
+        options: AlignmentOptions,
+    ) -> None:
+        self.halvings, self._camera, self._scaling = halvings, camera, _HALVED[halvings]
+        self._level = _nearest_level(target, pictures.is_linear, H, 0.5**halvings)
+        bank = self._level.patches(options.window_px)
+        height, width = pictures.shape
+        shape = (height >> halvings, width >> halvings)
+        image_from_bank = self._scaling.reduced_from_full @ H @ self._level.scaling.full_from_reduced
+        chosen, xy = self._in_view(bank, image_from_bank, shape, options)
+        self.sought = len(chosen)
+        if self.sought < options.fewest:
+            raise NoConsensus(f"patches: {self.sought} in view; need {options.fewest}")
+        self._patches = bank.select_unchecked(chosen)
+        atlas = None
+        if halvings == 0:
+            window_px = options.window_px * (1.0 if camera is None else _MOST_STRETCHED)
+            atlas = _atlas_of(xy, self._patches.bounds, image_from_bank, shape, window_px)
+        image = pictures.halved(halvings) if atlas is None else pictures.cut(atlas)
+        self._align(image, atlas, image_from_bank, options)
+
+    def _in_view(
+        self, bank: PatchBank, image_from_bank: Matrix3, shape: tuple[int, int], options: AlignmentOptions
+    ) -> tuple[Indices, Points]:
+        """Return the best spread of the patches that should lie in the image: (N,) indices, (N, 2) px of the image."""
+        height, width = shape
+        x, y, w = image_from_bank @ bank.homogeneous
+        inside = w > 0
+        w = np.where(inside, w, 1.0)
+        x /= w
+        y /= w
+        if self._camera is not None:
+            # The lens model is valid near the image only.
+            inside &= (np.abs(x) < 2 * max(shape)) & (np.abs(y) < 2 * max(shape))
+            near = np.flatnonzero(inside)
+            if len(near):
+                x[near], y[near] = self._distortion(self._camera, np.column_stack((x[near], y[near]))).distorted.T
+        margin = options.window_px // 2 + 2
+        inside &= (x >= margin) & (x < width - margin) & (y >= margin) & (y < height - margin)
+        # The centres are ordered, best spread first: so are those in view.
+        chosen = np.flatnonzero(inside)[: options.most]
+        return chosen, np.column_stack((x[chosen], y[chosen]))
+
+    def _align(
+        self, image: Image, atlas: PatchAtlas | None, image_from_bank: Matrix3, options: AlignmentOptions
+    ) -> None:
+        patches, centres = self._patches, self._patches.centres
+        motions = patches.motions(affine=self.sought < _ENOUGH_FOR_PROJECTIVE)
+        farthest = _FARTHEST_SHARE * options.window_px
+        motion: Motion | None = None
+        gain = BlurGain()
+        measured = displacements = np.zeros((0, 2))
+        usable = np.zeros(0, bool)
+        before = image_from_bank
+        # Some patches first: their motion brings the others near.
+        count = _SCOUTS if self.sought > 2 * _SCOUTS else self.sought
+        for _ in range(options.steps):
+            lens = None
+            if self._camera is not None:
+                lens = self._distortion(self._camera, _mapped(image_from_bank, centres[:count]))
+            seen = patches.displacements_unchecked(
+                patches.sampled_unchecked(image, image_from_bank, lens, atlas, count)
+            )
+            usable = (seen.similarity > _MIN_SIMILARITY) & (np.abs(seen.xy).max(axis=1) < farthest)
+            if motion is not None:
+                both = usable[: len(motion.agreeing)] & motion.agreeing
+                applied = motions.displacements(motion, len(both))[both]
+                gain.learn_unchecked(applied, (measured - seen.xy[: len(both)])[both])
+            measured = seen.xy
+            displacements = gain.corrected_unchecked(measured)
+            # From a poor start few are found, near the centre; their motion brings the others near.
+            found = int(np.count_nonzero(usable))
+            if found < _FEWEST_AT_FIRST:
+                raise NoConsensus(f"patches: {found} of {count} look alike; need {_FEWEST_AT_FIRST}")
+            motion = motions.fit_unchecked(displacements, usable, before=motion)
+            # The image at W(c - d) shows c: W is followed by the inverse of the motion by d.
+            before = image_from_bank
+            image_from_bank = before @ motions.inverse_unchecked(motion.parameters)
+            if count < self.sought:
+                if motion.largest_px < _SCOUTED_PX:
+                    count = self.sought
+                continue
+            # np.median takes ten times as long.
+            is_sharp = float(np.partition(seen.similarity, count // 2)[count // 2]) > _SHARP_SIMILARITY
+            if motion.largest_px < options.enough_px * (1.0 if is_sharp else _BLURRED_SHARE):
+                break
+        if motion is None or len(motion.agreeing) < self.sought:
+            raise NoConsensus(f"patches: they still move after {options.steps} steps; need a better start")
+        self.agreeing = int(np.count_nonzero(motion.agreeing))
+        if self.agreeing < options.fewest:
+            raise NoConsensus(f"patches: {self.agreeing} of {self.sought} agree; need {options.fewest}")
+        full, bank_from_template = self._scaling.full_from_reduced, self._level.scaling.reduced_from_full
+        self.H: Matrix3 = full @ image_from_bank @ bank_from_template
+        self.largest_px = motion.largest_px
+        self.converged = motion.largest_px < max(_SETTLED_PX, options.enough_px)
+        self.gain = gain.weakest
+        self._motion, self._displacements, self._usable, self._H_before = motion, displacements, usable, full @ before
+
+    def result(self, min_points: int) -> PatchAlignment:
+        """Return the correspondences of the patches and their homography, by least squares without outliers.
+
+        EstimationError if fewer than `min_points` agree, or they do not determine a homography.
+        """
+        patches = self._patches
+        normal_equations = homography_normal_equations_unchecked(
+            patches.motions(affine=False),
+            self._displacements,
+            self._motion,
+            self._H_before,
+            self._level.scaling.reduced_from_full,
+            patches.overlap,
+            max(min_points, 5),
+            self._usable,
+        )
+        homography = normal_equations.estimate
+        centres = patches.centres[homography.inliers]
+        template_xy = self._level.scaling.to_full_unchecked(centres)
+        image_xy = _mapped(self._H_before, centres - self._displacements[homography.inliers])
+        if self._camera is not None:
+            image_xy = self._camera.raw_pixels(image_xy)
+        share = len(template_xy) / self.sought
+        return PatchAlignment(template_xy, image_xy, homography, normal_equations, self.sought, self.halvings, share)
+
+    def _distortion(self, camera: Camera, straight: Points) -> LocalDistortion:
+        """Return the lens distortion of the level about ideal points, (N, 2) px of the level."""
+        K = camera.K
+        square = K[:2, :2]
+        inverse = np.linalg.inv(square)
+        normalised = (self._scaling.to_full_unchecked(straight) - K[:2, 2]) @ inverse.T
+        xy, by_xy = bend(camera.model, camera.distortion, normalised)
+        distorted = self._scaling.from_full_unchecked(xy @ square.T + K[:2, 2])
+        return LocalDistortion(straight, distorted, square @ by_xy @ inverse)
+
+
+def _options(parameters: RefinementParameters, min_points: int, for_result: bool) -> AlignmentOptions:
+    if for_result:
+        return AlignmentOptions(parameters.window_px, parameters.max_points, min_points, _FINE_STEPS, _FINE_ENOUGH_PX)
+    most = min(_COARSE_PATCHES, parameters.max_points)
+    return AlignmentOptions(parameters.window_px, most, min_points, _COARSE_STEPS, _COARSE_ENOUGH_PX)
+
+
+def _first_halvings(pictures: FrameImage, target: Reference, H: Matrix3, reach_px: float) -> int:
+    """Return how often to halve the frame so that patches bridge `reach_px`, and the reference is not too small."""
+    wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
+    if wanted == 0:
+        return 0
+    height, width = pictures.shape
+    try:
+        extent = np.ptp(np.clip(seen_outline(target.plane, H), 0, (width, height)), axis=0)
+    except DegenerateConfiguration:
+        extent = np.array((width, height))
+    side = math.sqrt(float(extent[0] * extent[1]))
+    possible = math.floor(math.log2(max(side / _COARSEST_SIDE_PX, 1.0)))
+    return min(wanted, possible, pictures.most_halvings)
+
+
+def _reduced_instead(
+    pictures: FrameImage, target: Reference, found: LevelAlignment, camera: Camera | None, options: AlignmentOptions
+) -> LevelAlignment:
+    """Return the alignment with the finest level that is as sharp as the reference there."""
+    for halvings in range(1, min(_COARSEST_RESULT, pictures.most_halvings) + 1):
+        try:
+            reduced = LevelAlignment(pictures, halvings, target, found.H, camera, options)
+        except EstimationError:
             break
-    if motion is None or len(motion.agreeing) < len(chosen):
-        raise NoConsensus(f"patches: they still move after {effort.steps} steps; need a better start")
-    agreeing = int(np.count_nonzero(motion.agreeing))
-    if agreeing < effort.fewest:
-        raise NoConsensus(f"patches: {agreeing} of {len(chosen)} agree; need {effort.fewest}")
-    H = reduced.inverse @ picture_from_bank @ bank.bank_from_template
-    settled = motion.largest_px < max(_SETTLED_PX, effort.enough_px)
-    return Followed(
-        H,
-        len(chosen),
-        agreeing,
-        bank,
-        patches,
-        displacements,
-        usable,
-        motion,
-        reduced.inverse @ before,
-        settled,
-        response.weakest,
-    )
+        if not _stands_alone(reduced):
+            break
+        found = reduced
+        if found.gain >= _BLURRED:
+            break
+    return found
 
 
-def _is_sharp(similarity: Floats) -> bool:
-    # np.median takes ten times as long.
-    middle = len(similarity) // 2
-    return float(np.partition(similarity, middle)[middle]) > _SHARP_SIMILARITY
+def _stands_alone(found: LevelAlignment) -> bool:
+    """Whether the alignment with a reduced level can be a result: few patches agree by chance sooner there."""
+    return found.halvings <= _COARSEST_RESULT and found.converged and found.agreeing >= _COARSE_SHARE * found.sought
+
+
+def _nearest_level(target: Reference, linear: bool, H: Matrix3, scale: float) -> TemplateOctave:
+    """Return the reference's level with patches whose pixels are nearest in size to those of the frame's level.
+
+    EstimationError if no level has a patch, or H maps the reference's centre to infinity.
+    """
+    width, height = target.size
+    g, h, i = H[2].tolist()
+    w = g * ((width - 1) / 2) + h * ((height - 1) / 2) + i
+    if not 0 < abs(w) < math.inf:
+        raise DegenerateConfiguration("H: it maps the reference's centre to infinity")
+    # The determinant of the local Jacobian there is the scale of areas.
+    pixels = max(math.sqrt(abs(cv2.determinant(H) / (w * w * w))) * scale, 1e-9)
+    levels = target.templates[linear]
+    distances = [abs(math.log(level.scale * pixels)) for level in levels]
+    for index in sorted(range(len(levels)), key=distances.__getitem__):
+        if len(levels[index].corners):
+            return levels[index]
+    raise NoConsensus("patches: the target has none; need texture")
+
+
+def _atlas_of(
+    xy: Points, bounds: tuple[float, ...], image_from_bank: Matrix3, shape: tuple[int, int], window_px: float
+) -> PatchAtlas | None:
+    """Return the squares of an image about patches, centred at `xy` (N, 2) px; None when that saves little.
+
+    `bounds` are left, top, right and bottom of the centres, px of the bank; `shape` is the image's.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = image_from_bank.tolist()
+    left, top, right, bottom = bounds
+    # A homography enlarges most at a corner of the centres' bounding box.
+    enlarged = 0.0
+    for x, y in ((left, top), (right, top), (right, bottom), (left, bottom)):
+        w = g * x + h * y + i
+        if not w > 0:
+            return None
+        u, v = (a * x + b * y + c) / w, (d * x + e * y + f) / w
+        enlarged = max(enlarged, (abs(a - u * g) + abs(b - u * h)) / w, (abs(d - v * g) + abs(e - v * h)) / w)
+    half = enlarged * (window_px // 2) + _SHEET_ROOM_PX
+    height, width = shape
+    if not half < min(shape):
+        return None
+    side = 2 * math.ceil(half)
+    if side > min(shape) - 2 or len(xy) * side > min(LONGEST_PX, _SHEET_SHARE * height * width / side):
+        return None
+    # Even pixels: a quad of the mosaic begins there.
+    origins = (np.rint(xy).astype(np.intp) - side // 2) & -2
+    np.minimum(origins, ((width - side) & -2, (height - side) & -2), out=origins)
+    return PatchAtlas.unchecked(np.maximum(origins, 0, out=origins), side)
+
+
+def _mapped(H: Matrix3, points: Points) -> Points:
+    at = points @ H[:, :2].T + H[:, 2]
+    return np.asarray(at[:, :2] / at[:, 2:])

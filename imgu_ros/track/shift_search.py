@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a target has moved to when nothing tells: every shift is tried on a small picture, by cross-correlation."""
+"""Search for a shift of a reference whose motion is unknown, by cross-correlation at low resolution."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.projective.transform import local_jacobian
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: Size at which the reference is compared: small enough to try every shift, large enough to be distinctive. Measured:
 #: benchmarks/thresholds.py, study reach.
@@ -27,47 +28,44 @@ _MIN_SIMILARITY = 0.3
 def shifted_homography(
     pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None, reach_px: float
 ) -> Matrix3:
-    """Move a homography by the shift in the target's plane at which the frame looks most like the target.
+    """Move a homography by the shift in the reference's plane at which the frame is most similar to the reference.
 
     Parameters
     ----------
     pictures : the frame's
-    target : the target
-    H : H_image_template in ideal px, right but for a shift
+    target : the reference
+    H : H_image_template in ideal px, correct but for a shift
     camera : intrinsics when the lens distorts; else None
     reach_px : longest shift, raw px
 
     Returns
     -------
-    H_image_template in ideal px, right to about a pixel of the small picture
+    H_image_template in ideal px, to about a pixel of the low resolution
 
     Raises
     ------
     NoConsensus
-        If nothing in reach looks like the target.
+        If nothing within `reach_px` is similar to the reference.
     """
     octave = _small(target.templates[pictures.is_linear])
     image = octave.level.image
     height, width = image.shape
-    sx, sy = octave.level.step
-    template_from_octave = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
-    frame_from_octave = H @ template_from_octave
+    frame_from_octave = H @ octave.scaling.full_from_reduced
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
     pixel = math.sqrt(abs(float(np.linalg.det(local_jacobian(frame_from_octave, centre)[0]))))
     halvings = min(max(round(math.log2(max(pixel, 1e-9))), 0), pictures.most_halvings)
     picture = pictures.halved(halvings)
-    # Beyond its own size the target would be sought where the perspective is another one.
+    # No farther than the reference's own size: the perspective is another one there.
     room_x, room_y = (min(math.ceil(reach_px / pixel) + 1, side) for side in (width, height))
     x, y = np.meshgrid(np.arange(-room_x, width + room_x), np.arange(-room_y, height + room_y))
     at = np.stack((x.ravel(), y.ravel(), np.ones(x.size))).T @ frame_from_octave.T
     ahead = at[:, 2] > 1e-3 * at[:, 2].max()
     xy = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
     if camera is not None:
-        # Far outside, the lens model may be anything.
+        # The lens model is valid near the image only.
         beyond = 2 * max(pictures.shape)
         xy = camera.raw_pixels(np.clip(xy, -beyond, beyond))
-    scale = 0.5**halvings
-    places = np.clip((xy + 0.5) * scale - 0.5, -30000, 30000).astype(np.float32)
+    places = np.clip(PixelScaling(2.0**halvings).from_full_unchecked(xy), -30000, 30000).astype(np.float32)
     places[~ahead] = -30000
     seen = cv2.remap(
         picture,
@@ -81,7 +79,7 @@ def shifted_homography(
     if not _MIN_SIMILARITY < best <= 1.001:
         raise NoConsensus(f"track: nothing within {reach_px:.0f} px looks like the target ({best:.2f})")
     shift = np.array([[1, 0, column - room_x], [0, 1, row - room_y], [0, 0, 1]], np.float64)
-    return np.asarray(frame_from_octave @ shift @ np.linalg.inv(template_from_octave), np.float64)
+    return np.asarray(frame_from_octave @ shift @ np.linalg.inv(octave.scaling.full_from_reduced), np.float64)
 
 
 def _small(octaves: Sequence[TemplateOctave]) -> TemplateOctave:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Following a target from frame to frame: predict, align, and say whether it holds."""
+"""Following a reference from frame to frame: predict, align, and decide whether the track holds."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from imgu_ros.config.parameters import Parameters
@@ -11,8 +12,8 @@ from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import Located, bending, require_plausible
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
+from imgu_ros.track.patch_alignment import PatchAlignment, align_patches
 from imgu_ros.track.prediction import Track
-from imgu_ros.track.refinement import Alignment, refine_by_alignment
 from imgu_ros.track.shift_search import shifted_homography
 from imgu_ros.types import Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -34,14 +35,13 @@ _LONGEST_SHIFT = 0.1
 
 def follow(
     target: Reference, track: Track, pictures: FrameImage, stamp_ns: int, camera: Camera | None, parameters: Parameters
-) -> Alignment:
-    """Find a target where its track leads.
+) -> PatchAlignment:
+    """Find a reference where its track leads.
 
     Parameters
     ----------
-    target, track : what is followed, and from where
-    pictures : the frame's
-    stamp_ns : the frame's
+    target, track : the reference, and its last observations
+    pictures, stamp_ns : the frame's
     camera : intrinsics, or None
     parameters : all parameters
 
@@ -55,7 +55,7 @@ def follow(
     for start in _starts(track, target, stamp_ns, pictures.shape[1]):
         try:
             H = shifted_homography(pictures, target, start.H, lens, start.shift_px) if start.shift_px else start.H
-            alignment = refine_by_alignment(
+            alignment = align_patches(
                 pictures,
                 target,
                 H,
@@ -64,10 +64,15 @@ def follow(
                 parameters.homography.min_inliers,
                 start.reach_px,
             )
-            _require_held(alignment)
+            rms_px = alignment.homography.rms_px / 2**alignment.halvings
+            if alignment.agreeing_share < _HELD_SHARE or rms_px > _HELD_RMS_PX:
+                raise NoConsensus(
+                    f"track: {len(alignment.template_xy)} of {alignment.sought} patches agree, rms {rms_px:.2f} px; "
+                    f"need {_HELD_SHARE:.0%} and {_HELD_RMS_PX:g} px"
+                )
             require_plausible(target.plane, alignment.homography)
             if alignment.halvings:
-                # Coarse patches agree by chance sooner: the whole target must look as it should.
+                # Coarse patches agree by chance sooner: the whole reference is compared, too.
                 require_confirmed(pictures, target, alignment.homography.H, lens)
         except EstimationError as error:
             reason = str(error)
@@ -76,45 +81,34 @@ def follow(
     raise NoConsensus(reason)
 
 
-def located(alignment: Alignment) -> Located:
-    """Return the place that an alignment tells."""
-    return Located(
-        alignment.template_xy, alignment.image_xy, alignment.homography, alignment.condensed, alignment.halvings
-    )
-
-
-def _require_held(alignment: Alignment) -> None:
-    held, rms_px = len(alignment.template_xy), alignment.homography.rms_px / 2**alignment.halvings
-    if held < _HELD_SHARE * alignment.sought or rms_px > _HELD_RMS_PX:
-        raise NoConsensus(
-            f"track: {held} of {alignment.sought} patches agree, rms {rms_px:.2f} px; "
-            f"need {_HELD_SHARE:.0%} and {_HELD_RMS_PX:g} px"
-        )
+def located(alignment: PatchAlignment) -> Located:
+    """Return where an alignment found the reference."""
+    a = alignment
+    return Located(a.template_xy, a.image_xy, a.homography, a.normal_equations, a.halvings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """Where to look: from H, by alignment that bridges `reach_px`, after any shift up to `shift_px`; raw px."""
+    """Start of an alignment: H with an error up to `reach_px`, after a search for shifts up to `shift_px`; raw px."""
 
     H: Matrix3
     reach_px: float
     shift_px: float = 0.0
 
 
-def _starts(track: Track, target: Reference, stamp_ns: int, width: int) -> list[_Start]:
-    """Return where to look: near where the motion leads, then farther around, then where the target was last."""
-    expected = track.expected(target, stamp_ns)
-    shift = max(_LONGEST_SHIFT * width, _UNKNOWN_REACH_PX)
+def _starts(track: Track, target: Reference, stamp_ns: int, width: int) -> Iterator[_Start]:
+    """Yield starts: the prediction, the same with larger errors, then the last observation, each also with a shift."""
+    expected, last = track.expected(target, stamp_ns), track.last.H
     reach = _UNKNOWN_REACH_PX
-    if expected.wrong_px is not None:
-        reach = min(max(_SURPRISE * expected.wrong_px, _LEAST_REACH_PX), reach)
-    starts = [_Start(expected.H, reach)]
+    if expected.error_px is not None:
+        reach = min(max(_SURPRISE * expected.error_px, _LEAST_REACH_PX), reach)
+    yield _Start(expected.H, reach)
     if reach < _UNKNOWN_REACH_PX:
-        starts.append(_Start(expected.H, _UNKNOWN_REACH_PX))
-    if expected.H is not track.last.H:
-        # A motion that ends or turns back leaves the target near where it was.
-        starts.append(_Start(track.last.H, _UNKNOWN_REACH_PX))
-    starts.append(_Start(expected.H, _UNKNOWN_REACH_PX, shift))
-    if expected.H is not track.last.H:
-        starts.append(_Start(track.last.H, _UNKNOWN_REACH_PX, shift))
-    return starts
+        yield _Start(expected.H, _UNKNOWN_REACH_PX)
+    # A motion that ends or reverses leaves the reference near its last position.
+    if expected.H is not last:
+        yield _Start(last, _UNKNOWN_REACH_PX)
+    shift = max(_LONGEST_SHIFT * width, _UNKNOWN_REACH_PX)
+    yield _Start(expected.H, _UNKNOWN_REACH_PX, shift)
+    if expected.H is not last:
+        yield _Start(last, _UNKNOWN_REACH_PX, shift)

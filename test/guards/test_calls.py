@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(429, 39, 209, {5: 1695, 4: 1705}),
-    "empty": Limit(3853, 52, 1646, {5: 25140, 4: 26471}),
+    "tracked": Limit(224, 30, 112, {5: 1240, 4: 1252}),
+    "empty": Limit(3892, 51, 1666, {5: 25164, 4: 26495}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

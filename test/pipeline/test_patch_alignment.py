@@ -17,8 +17,8 @@ from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage, TemplatePyramids, Templates
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
-from imgu_ros.track import patch_selection as patch_view
-from imgu_ros.track.patch_alignment import AlignmentOptions, follow_patches
+from imgu_ros.track import patch_alignment
+from imgu_ros.track.patch_alignment import AlignmentOptions, LevelAlignment
 from imgu_ros.types import Image
 from imgu_ros.vision.camera.distortion_model import DistortionModel
 from imgu_ros.vision.formation.layout import RawImage
@@ -52,24 +52,25 @@ def frame(one_target_frames: tuple[SimulatedFrame, ...]) -> SimulatedFrame:
 def test_found_at_every_resolution(frame: SimulatedFrame, target: Reference, halvings: int) -> None:
     H = frame.truths[0].H
     start = shifted(H, 1.5 * 2**halvings, -(2**halvings))
-    found = follow_patches(pictures_of(frame), halvings, target, start, None, EFFORT)
+    found = LevelAlignment(pictures_of(frame), halvings, target, start, None, EFFORT)
     assert corner_error(found.H, H, target.size, SIZE) < 0.1 * 4**halvings
-    assert found.agreeing > 0.9 * found.sought == 0.9 * len(found.patches)
+    assert found.agreeing > 0.9 * found.sought
 
 
 def test_correspondences_are_those_of_the_truth(frame: SimulatedFrame, target: Reference) -> None:
     H = frame.truths[0].H
-    found = follow_patches(pictures_of(frame), 0, target, shifted(H, 1.0, 1.0), None, EFFORT)
-    chosen = found.motion.agreeing
-    template, ideal = found.template_xy(chosen), found.ideal_xy(chosen)
-    assert len(template) == len(ideal) == found.agreeing
+    found = LevelAlignment(pictures_of(frame), 0, target, shifted(H, 1.0, 1.0), None, EFFORT)
+    result = found.result(8)
+    template, ideal = result.template_xy, result.image_xy
+    assert len(template) == len(ideal) == np.count_nonzero(result.homography.inliers)
+    assert 0.9 * found.agreeing < len(template) <= result.sought and result.agreeing_share == len(template) / 200
     assert_allclose(np.median(np.abs(transform(H, template) - ideal)), 0, atol=0.1)
     width, height = target.size
     assert (template >= 0).all() and (template <= (width - 1, height - 1)).all()
-    condensed = found.condensed(8)
-    assert corner_error(condensed.estimate.H, H, target.size, SIZE) < 0.1
+    assert result.homography is result.normal_equations.estimate
+    assert corner_error(result.homography.H, H, target.size, SIZE) < 0.1
     with pytest.raises(NoConsensus, match="need 201"):
-        found.condensed(201)
+        found.result(201)
 
 
 @pytest.mark.parametrize("model", [None, DistortionModel.PLUMB_BOB, DistortionModel.EQUIDISTANT])
@@ -83,10 +84,10 @@ def test_squares_of_the_mosaic_show_what_the_picture_shows(
     developed: list[bool] = []
     whole = FrameImage.halved
     monkeypatch.setattr(FrameImage, "halved", lambda self, times: developed.append(True) or whole(self, times))
-    of_squares = follow_patches(pictures_of(frame), 0, target, H, lens, EFFORT)
+    of_squares = LevelAlignment(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert not developed
-    monkeypatch.setattr(patch_view, "_SHEET_SHARE", 0.0)
-    of_picture = follow_patches(pictures_of(frame), 0, target, H, lens, EFFORT)
+    monkeypatch.setattr(patch_alignment, "_SHEET_SHARE", 0.0)
+    of_picture = LevelAlignment(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert developed
     assert corner_error(of_squares.H, of_picture.H, target.size, (1280, 720), lens) < 0.005
     assert corner_error(of_squares.H, frame.truths[0].H, target.size, (1280, 720), lens) < 0.1
@@ -100,8 +101,8 @@ def test_a_target_partly_out_of_view(frame: SimulatedFrame, target: Reference) -
     for x, y in ((left, 0), (0, top)):
         cut = np.ascontiguousarray(pixels[y:, x:])
         H_cut = shifted(H, -x, -y)
-        found = follow_patches(pictures_of(frame, cut), 0, target, shifted(H_cut, 1, 1), None, EFFORT)
-        at = found.ideal_xy(found.motion.agreeing)
+        found = LevelAlignment(pictures_of(frame, cut), 0, target, shifted(H_cut, 1, 1), None, EFFORT)
+        at = found.result(8).image_xy
         assert (at >= 4).all() and (at <= np.array(cut.shape[::-1]) - 5).all()
         assert corner_error(found.H, H_cut, target.size, cut.shape[::-1]) < 0.1
         assert found.agreeing > 0.9 * found.sought
@@ -110,7 +111,7 @@ def test_a_target_partly_out_of_view(frame: SimulatedFrame, target: Reference) -
 def test_fewer_and_more_patches(frame: SimulatedFrame, target: Reference) -> None:
     H = frame.truths[0].H
     for most in (12, 60, 121, 200):
-        found = follow_patches(pictures_of(frame), 0, target, shifted(H, 0.8, 0.5), None, replace(EFFORT, most=most))
+        found = LevelAlignment(pictures_of(frame), 0, target, shifted(H, 0.8, 0.5), None, replace(EFFORT, most=most))
         assert found.sought == most and found.agreeing > 0.9 * most
         assert corner_error(found.H, H, target.size, SIZE) < 0.6 / np.sqrt(most / 12)
 
@@ -119,22 +120,22 @@ def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Refer
     H, pictures = frame.truths[0].H, pictures_of(frame)
     for away in (shifted(H, 2000, 0), shifted(H, 0, -1e6), -H):
         with pytest.raises(NoConsensus, match="0 in view"):
-            follow_patches(pictures, 0, target, away, None, EFFORT)
+            LevelAlignment(pictures, 0, target, away, None, EFFORT)
     with pytest.raises(NoConsensus, match="need 201"):
-        follow_patches(pictures, 0, target, H, None, replace(EFFORT, fewest=201))
+        LevelAlignment(pictures, 0, target, H, None, replace(EFFORT, fewest=201))
     with pytest.raises(NoConsensus, match="look alike"):
-        follow_patches(pictures, 0, target, shifted(H, 60, 40), None, EFFORT)
+        LevelAlignment(pictures, 0, target, shifted(H, 60, 40), None, EFFORT)
     # Too small to be seen, and larger than anything.
     for scale in (1e-3, 1e4):
         x, y = transform(H, target.outline_template).mean(axis=0)
         scaled = np.array([[scale, 0, (1 - scale) * x], [0, scale, (1 - scale) * y], [0, 0, 1]]) @ H
         with pytest.raises(EstimationError):
-            follow_patches(pictures, 0, target, scaled, None, EFFORT)
+            LevelAlignment(pictures, 0, target, scaled, None, EFFORT)
     blank = Templates(
         TemplatePyramids(TargetImage("blank", np.full((300, 400), 90, np.uint8), 0.5), (), "sampled"), max_points=150
     )
     with pytest.raises(NoConsensus, match="the target has none"):
-        follow_patches(
+        LevelAlignment(
             pictures,
             0,
             PlanarReference(0, target.image, blank, target.front, target.close, target.thorough),

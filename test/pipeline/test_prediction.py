@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where sightings lead: steady, changing and interrupted motions, and how wrong that may be."""
+"""Where observations lead: steady, changing and interrupted motions, and how wrong that may be."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def shifted(H: Matrix3, x: float, y: float) -> Matrix3:
     return normalised_homography(np.array([[1, 0, x], [0, 1, y], [0, 0, 1]]) @ H)
 
 
-def track_of(*sightings: Observation, surprises_px: Sequence[float] = ()) -> Track:
-    return Track(sightings, surprises_px)
+def track_of(*observations: Observation, errors_px: Sequence[float] = ()) -> Track:
+    return Track(observations, errors_px)
 
 
 def predicted(track: Track, target: Reference, stamp_ns: int) -> Matrix3:
@@ -49,11 +49,11 @@ def on_corners(H: Matrix3, target: Reference) -> Points:
 def test_a_steady_motion_goes_on(target: Reference) -> None:
     """Seen twice; the motion of the picture is told by H1 H0^-1."""
     track = track_of(Observation(H0, SECOND)).continued(target, H1, 2 * SECOND)
-    assert track.expected(target, 3 * SECOND).wrong_px is None
+    assert track.expected(target, 3 * SECOND).error_px is None
     assert_allclose(predicted(track, target, 3 * SECOND), H2, atol=1e-12)
     track = track.continued(target, H2, 3 * SECOND)
-    assert track.expected(target, 4 * SECOND).wrong_px == pytest.approx(0, abs=1e-6)
-    assert [sighting.H for sighting in track.sightings] == [H2, H1, H0]
+    assert track.expected(target, 4 * SECOND).error_px == pytest.approx(0, abs=1e-6)
+    assert [sighting.H for sighting in track.observations] == [H2, H1, H0]
 
 
 @pytest.mark.parametrize(("interval_s", "goes_on"), [(0.1, False), (0.5, True), (1.0, True), (3.0, True), (6, False)])
@@ -106,9 +106,7 @@ def falling(seconds: float) -> Matrix3:
 def test_a_changing_motion_whose_frames_are_left_out(target: Reference) -> None:
     """Of a path that is a parabola any frame is told, whichever were seen, and how wrong the straight one would be."""
     for seen in ((0, 1, 2, 5), (0, 2, 3, 4), (0, 3, 4, 6), (0, 1, 3, 4)):
-        track = track_of(
-            *(Observation(falling(i), (i + 1) * SECOND) for i in reversed(seen[:3])), surprises_px=(9, 9, 0)
-        )
+        track = track_of(*(Observation(falling(i), (i + 1) * SECOND) for i in reversed(seen[:3])), errors_px=(9, 9, 0))
         led_to = predicted(track, target, (seen[3] + 1) * SECOND)
         assert_allclose(on_corners(led_to, target), on_corners(falling(seen[3]), target), atol=1e-5)
 
@@ -119,14 +117,14 @@ def test_what_grows_with_the_time(target: Reference, later: int) -> None:
     track = track_of(Observation(falling(1), 2 * SECOND), Observation(falling(0), SECOND)).continued(
         target, falling(2), 3 * SECOND
     )
-    straight_only = Track(track.sightings[:2], (1e3, track.surprises_px[1]))
+    straight_only = Track(track.observations[:2], (1e3, track.errors_px[1]))
     expected = straight_only.expected(target, (3 + later) * SECOND)
     away = np.abs(on_corners(expected.H, target) - on_corners(falling(2 + later), target)).max()
-    assert expected.wrong_px == pytest.approx(away, rel=1e-5)
+    assert expected.error_px == pytest.approx(away, rel=1e-5)
 
 
 def test_half_a_turn_has_no_part(target: Reference) -> None:
-    """Nothing is known of the way between two sightings on opposite sides: the target is sought where it was."""
+    """Nothing is known of the way between two observations on opposite sides: the target is sought where it was."""
     x, y = on_corners(H0, target).mean(axis=0)
     about = np.array([[1, 0, x], [0, 1, y], [0, 0, 1]])
     H = normalised_homography(about @ np.diag([-1.0, -1, 1]) @ np.linalg.inv(about) @ H0)
@@ -146,11 +144,11 @@ def test_surprise_is_how_far_the_prediction_was_off(targets: tuple[Reference, ..
     """Of the ways to predict it is that of the best one."""
     track = track_of(Observation(H1, 2 * SECOND), Observation(H0, SECOND))
     track = track.continued(targets[0], shifted(H2, x, y), 3 * SECOND)
-    stays, goes_on = track.surprises_px
+    stays, goes_on = track.errors_px
     assert goes_on == pytest.approx(np.hypot(x, y), abs=1e-6)
     away = on_corners(shifted(H2, x, y), targets[0]) - on_corners(H1, targets[0])
     assert stays == pytest.approx(np.hypot(*away.T).max(), abs=1e-6)
-    assert track.expected(targets[0], 4 * SECOND).wrong_px == min(stays, goes_on)
+    assert track.expected(targets[0], 4 * SECOND).error_px == min(stays, goes_on)
 
 
 def test_a_motion_that_leads_behind_the_camera_is_not_followed(target: Reference) -> None:

@@ -16,7 +16,7 @@ from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
-from imgu_ros.track.refinement import Alignment, refine_by_alignment
+from imgu_ros.track.patch_alignment import PatchAlignment, align_patches
 from imgu_ros.types import Image, Matrix3, Points
 from imgu_ros.vision.camera.distortion_model import DistortionModel
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -72,10 +72,10 @@ def aligned(
     lens: Camera | None = None,
     min_points: int = 8,
     parameters: RefinementParameters | None = None,
-) -> Alignment:
+) -> PatchAlignment:
     pictures = develop(RawImage(pixels, MONO), RawParameters(), DemosaicParameters())
     parameters = parameters or Parameters().refinement
-    return refine_by_alignment(pictures, target, H, lens, parameters, min_points, reach_px)
+    return align_patches(pictures, target, H, lens, parameters, min_points, reach_px)
 
 
 def with_corners_moved(H: Matrix3, target: Reference, by: Points) -> Matrix3:
@@ -90,11 +90,11 @@ def wrong(H: Matrix3, target: Reference, px: float, seed: int = 0) -> Matrix3:
     return with_corners_moved(H, target, px * np.column_stack((np.cos(angle), np.sin(angle))))
 
 
-def error_px(found: Alignment, view: View, target: Reference) -> float:
+def error_px(found: PatchAlignment, view: View, target: Reference) -> float:
     return corner_error(found.homography.H, view.H, target.size, SIZE, view.lens)
 
 
-def sigma_px(found: Alignment, target: Reference) -> float:
+def sigma_px(found: PatchAlignment, target: Reference) -> float:
     """The largest standard deviation of a corner that the covariance tells, by propagation."""
     H, outline = found.homography.H, target.outline_template
     rows = np.column_stack((outline, np.ones(4)))
@@ -107,7 +107,7 @@ def sigma_px(found: Alignment, target: Reference) -> float:
     return float(max(out))
 
 
-def require_honest(found: Alignment, view: View, target: Reference) -> None:
+def require_honest(found: PatchAlignment, view: View, target: Reference) -> None:
     """Its error is none that its covariance would not allow."""
     assert error_px(found, view, target) < 5 * sigma_px(found, target) + 0.05
 

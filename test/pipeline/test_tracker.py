@@ -20,8 +20,8 @@ from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track import tracker as tracking
+from imgu_ros.track.patch_alignment import PatchAlignment
 from imgu_ros.track.prediction import Observation, Track
-from imgu_ros.track.refinement import Alignment
 from imgu_ros.track.tracker import follow, located
 from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.rotation import log_so3
@@ -48,12 +48,12 @@ def shifted(H: Matrix3, x: float, y: float) -> Matrix3:
     return normalised_homography(np.array([[1, 0, x], [0, 1, y], [0, 0, 1]]) @ H)
 
 
-def followed(frame: SimulatedFrame, target: Reference, track: Track, pixels: Image | None = None) -> Alignment:
+def followed(frame: SimulatedFrame, target: Reference, track: Track, pixels: Image | None = None) -> PatchAlignment:
     return follow(target, track, pictures_of(frame, pixels), frame.frame.stamp_ns, frame.frame.camera, Parameters())
 
 
-def track_of(*sightings: Observation, surprises_px: Sequence[float] = ()) -> Track:
-    return Track(sightings, surprises_px)
+def track_of(*observations: Observation, errors_px: Sequence[float] = ()) -> Track:
+    return Track(observations, errors_px)
 
 
 def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], target: Reference) -> None:
@@ -63,10 +63,10 @@ def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], t
         found = followed(frame, target, track)
         assert corner_error(found.homography.H, frame.truths[0].H, target.size, SIZE) < 0.3
         place = located(found)
-        assert place.homography is found.homography and place.condensed is found.condensed
+        assert place.homography is found.homography and place.condensed is found.normal_equations
         assert len(place.template_xy) == len(place.image_xy) == np.count_nonzero(found.homography.inliers)
         track = track.continued(target, found.homography.H, frame.frame.stamp_ns)
-    assert min(track.surprises_px) < 10
+    assert min(track.errors_px) < 10
 
 
 @pytest.mark.parametrize(("x", "y"), [(5, 0), (-12, 16), (20, 0), (-40, 30), (0, 60)])
@@ -78,7 +78,7 @@ def test_a_jump_is_caught_up_with(
     H, stamp = frame.truths[0].H, frame.frame.stamp_ns
     was = Observation(shifted(H, x, y), stamp - SECOND)
     before = Observation(was.H, stamp - 2 * SECOND)
-    for track in (track_of(was), track_of(was, before, surprises_px=[0.1, 0.1])):
+    for track in (track_of(was), track_of(was, before, errors_px=[0.1, 0.1])):
         found = followed(frame, target, track)
         assert corner_error(found.homography.H, H, target.size, SIZE) < 0.1
 
@@ -104,7 +104,7 @@ def test_where_a_wrong_motion_led_away_the_target_is_found_where_it_was(
     frame = one_target_frames[0]
     H, stamp = frame.truths[0].H, frame.frame.stamp_ns
     was, before = Observation(shifted(H, 2, 1), stamp - SECOND), Observation(shifted(H, 152, 1), stamp - 2 * SECOND)
-    track = track_of(was, before, surprises_px=[150.0, 3.0])
+    track = track_of(was, before, errors_px=[150.0, 3.0])
     found = followed(frame, target, track)
     assert corner_error(found.homography.H, H, target.size, SIZE) < 0.1
 
@@ -144,19 +144,19 @@ def test_an_exact_prediction_needs_no_second_try(
     one_target_frames: tuple[SimulatedFrame, ...], target: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reaches: list[float] = []
-    refine = tracking.refine_by_alignment
+    refine = tracking.align_patches
 
-    def recorded(*arguments: object) -> Alignment:
+    def recorded(*arguments: object) -> PatchAlignment:
         reaches.append(float(arguments[-1]))  # type: ignore[arg-type]
         return refine(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tracking, "refine_by_alignment", recorded)
+    monkeypatch.setattr(tracking, "align_patches", recorded)
     frame = one_target_frames[0]
     H, stamp = frame.truths[0].H, frame.frame.stamp_ns
     last, before = Observation(H, stamp - SECOND), Observation(H, stamp - 2 * SECOND)
     for surprise, reach in ((0.0, 2.0), (4.0, 6.0), (1e3, 24.0), (None, 24.0)):
         surprises = [] if surprise is None else [surprise, surprise]
-        followed(frame, target, track_of(last, before, surprises_px=surprises))
+        followed(frame, target, track_of(last, before, errors_px=surprises))
         assert reaches == [pytest.approx(reach)]
         reaches.clear()
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.arguments import as_flag, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Image, Points, as_image
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: The board is looked for in a picture of at most this size: enough to tell squares apart, and quick.
 _LONGEST_SIDE = 960
@@ -99,7 +100,7 @@ def find_chessboard(grey: Image, board: Chessboard, *, quick: bool = True, thoro
     if found is None:
         return None
     factor = np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])
-    corners = _refined(grey, (found + 0.5) * factor - 0.5, board)
+    corners = _refined(grey, PixelScaling(factor).to_full_unchecked(found), board)
     inside = (corners >= 0).all() and (corners <= np.array(grey.shape[::-1]) - 1).all()
     return corners if inside else None
 

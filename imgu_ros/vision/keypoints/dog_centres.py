@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, Mask, Points, as_floats, as_image, as_points
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: The larger of the two Gaussians over the smaller: three scales in an octave.
 _RATIO = 2 ** (1 / 3)
@@ -75,14 +76,15 @@ def refined_centres(image: Image, xy: ArrayLike, scale: ArrayLike) -> Points:
         size = (math.ceil(image.shape[1] / factor), math.ceil(image.shape[0] / factor))
         reduced = _reduced(image, factor, size)
         # A pixel of the reduced picture is a square of the image's.
-        local = (points[chosen] + 0.5) / factor - 0.5
+        scaling = PixelScaling(float(factor))
+        local = scaling.from_full_unchecked(points[chosen])
         moved = np.concatenate(
             [
                 _moved(reduced, local[start : start + _BATCH], sigmas[chosen][start : start + _BATCH] / factor)
                 for start in range(0, len(chosen), _BATCH)
             ]
         )
-        points[chosen] = (moved + 0.5) * factor - 0.5
+        points[chosen] = scaling.to_full_unchecked(moved)
     return points
 
 

@@ -25,11 +25,11 @@ by `ssd`, `zmssd` and `ncc` of `matching.patches`.
 after the first homography: half as many matches again and more, for targets with repeating patterns; the alignment of
 `refinement.enabled` gains accuracy at less cost.
 
-Where it is nearly known how one picture shows the other, patches need no descriptors: a `PatchBank` (`patch_bank`)
-makes each patch ready once, and its `Patches` (`alignment`) tell by one small product of matrices how far what a
-picture shows is displaced, whatever gain and offset of the light (Lucas-Kanade, inverse compositional). A patch
-bridges 3 px or so; `projective.plane_motion` fits the motion that most agree on. A `PatchAtlas` holds the
-squares of a picture that matter, so that the rest need not be developed.
+Where it is nearly known how one image shows the other, patches need no descriptors: a `PatchBank` prepares each patch
+once, and one small product of matrices measures its displacement in another image, whatever gain and offset of the
+light (Lucas-Kanade, inverse compositional). A patch bridges about 3 px; `projective.plane_motion` fits the motion that
+most displacements agree with. A `PatchAtlas` holds the squares of an image that matter, so that the rest need not be
+developed.
 
 Hamming distances come from one product of matrices that compares two rows at once, exactly: 1000 descriptors of a
 frame with 3000 of a target in about 10 ms on two cores. How many matches of real pictures are correct, by
@@ -38,8 +38,6 @@ descriptor and beside OpenCV's: `docs/matching.md`.
 Parameters: `matching.metric`, `matching.ratio`, `matching.mutual`, `matching.guided`. Notes: 5.1, 5.3, 5.4.2, 7.5.
 """
 
-from imgu_ros.vision.matching.alignment import Displacements, LocalDistortion, Patches, PreparedPatches, as_grey
-from imgu_ros.vision.matching.blur_gain import BlurGain
 from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
 from imgu_ros.vision.matching.guided import GuidedHomography, guided_homography, match_guided
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
@@ -59,13 +57,12 @@ from imgu_ros.vision.matching.near import NearPairs, near_pairs
 from imgu_ros.vision.matching.nearest import match, match_to_gallery
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
-from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.patch_bank import Displacements, LocalDistortion, PatchBank, Patches, as_grey
 from imgu_ros.vision.matching.patches import ncc, ssd, zmssd
 from imgu_ros.vision.matching.places import Neighbours, Places, find_places
 
 __all__ = [
     "BinaryRows",
-    "BlurGain",
     "DescriptorIndex",
     "Displacements",
     "Gallery",
@@ -80,7 +77,6 @@ __all__ = [
     "PatchBank",
     "Patches",
     "Places",
-    "PreparedPatches",
     "as_grey",
     "binary_rows",
     "build_index",

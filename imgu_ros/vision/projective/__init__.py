@@ -62,7 +62,7 @@ from imgu_ros.vision.projective.homography import (
 from imgu_ros.vision.projective.inhomogeneous import homography_inhomogeneous
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 from imgu_ros.vision.projective.minimal import HomographyModel
-from imgu_ros.vision.projective.plane_motion import Motion, PlaneMotion
+from imgu_ros.vision.projective.plane_motion import BlurGain, Motion, PlaneMotion
 from imgu_ros.vision.projective.points_and_lines import (
     cartesian,
     homogeneous,
@@ -113,6 +113,7 @@ from imgu_ros.vision.projective.transformations import (
 
 __all__ = [
     "AffineParts",
+    "BlurGain",
     "CorrectedPoints",
     "HomographyError",
     "HomographyEstimate",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust estimation of a small motion of the plane, affine or projective, from displacements of its points."""
+"""A small motion of the plane from displacements of its points, also of displacements measured in blurred images."""
 
 from __future__ import annotations
 
@@ -29,6 +29,16 @@ _LARGEST_PX = 1e12
 #: Smaller extents and deviations are rounding, px.
 _SMALLEST_PX = 1e-9
 _RAYLEIGH_MEDIAN = 1.1774  # in sigmas of one coordinate
+#: RMS motion, px, that weighs as much as the prior assumption that nothing is blurred. Measured:
+#: benchmarks/thresholds.py, study blur.
+_ASSUMED_PX = 0.1
+#: RMS motions, px, from which a gain is learned: Lucas-Kanade is not linear for longer ones, and shorter ones are
+#: noise. Measured: benchmarks/thresholds.py, study blur.
+_LONGEST_PX, _SHORTEST_PX = 1.5, 0.03
+#: Limits of the singular values of a gain. Measured: benchmarks/thresholds.py, study blur.
+_WEAKEST, _STRONGEST = 0.2, 1.5
+#: Largest displacements from which a gain is learned.
+_LARGEST_LEARNED_PX = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,6 +254,90 @@ class PlaneMotion:
             [d * h - e * g, b * g - a * h, a * e - b * d],
         ]
         return np.asarray(self.back @ adjugate @ self.normalised)
+
+
+class BlurGain:
+    """The linear map (2, 2) from true displacements of patches to measured ones; the identity until motions are known.
+
+    In an image that is less sharp than the patches, Lucas-Kanade measures displacements that are too short, most of all
+    along the blur. A known motion between two measurements shows by how much.
+
+    Attributes
+    ----------
+    matrix : (2, 2)
+    weakest : its smaller singular value, below 1 in blurred images
+    """
+
+    def __init__(self) -> None:
+        self.matrix: Floats = np.eye(2)
+        self.weakest = 1.0
+        self._inverse: Floats = self.matrix
+        self._products: Floats = np.zeros((2, 2))
+        self._squares: Floats = self._products
+        self._count = 0
+
+    def corrected(self, measured: ArrayLike) -> Points:
+        """Return the true displacements (N, 2) of measured ones, (N, 2)."""
+        return self.corrected_unchecked(_plain(measured, "measured"))
+
+    def corrected_unchecked(self, measured: Points) -> Points:
+        """`corrected` without the checks of its argument."""
+        return measured if self._count == 0 else np.asarray(measured @ self._inverse.T)
+
+    def learn(self, applied: ArrayLike, change: ArrayLike) -> None:
+        """Learn from the change of displacements by a known motion.
+
+        Parameters
+        ----------
+        applied : (N, 2) px, by which the patches were moved
+        change : (N, 2) px, by which their measured displacements became smaller
+
+        Raises
+        ------
+        ShapeError
+            If they are not as many, or no displacements in an image.
+        """
+        applied, change = _plain(applied, "applied"), _plain(change, "change")
+        if applied.shape != change.shape:
+            raise ShapeError(f"change: shape {change.shape}; need {applied.shape}")
+        self.learn_unchecked(applied, change)
+
+    def learn_unchecked(self, applied: Points, change: Points) -> None:
+        """`learn` without the checks of its arguments."""
+        count = len(applied)
+        squares = applied.T @ applied
+        total = float(squares[0, 0] + squares[1, 1])
+        if not _SHORTEST_PX**2 * count < total <= 2 * _LONGEST_PX**2 * count:
+            return
+        self._products = self._products + change.T @ applied
+        self._squares = self._squares + squares
+        self._count = max(self._count, count)
+        assumed = self._count * _ASSUMED_PX**2
+        (a, b), (c, d) = self._products.tolist()
+        (p, q), (_, r) = self._squares.tolist()
+        a, d, p, r = a + assumed, d + assumed, p + assumed, r + assumed
+        det = p * r - q * q
+        gain = np.array([[a * r - b * q, b * p - a * q], [c * r - d * q, d * p - c * q]]) / det
+        # Its singular values.
+        (a, b), (c, d) = gain.tolist()
+        half, product = (a * a + b * b + c * c + d * d) / 2, abs(a * d - b * c)
+        strongest = math.sqrt(half + math.sqrt(max(half * half - product * product, 0.0)))
+        self.weakest = product / strongest if strongest > 0 else 0.0
+        if self.weakest < _WEAKEST or strongest > _STRONGEST:
+            U, strengths, Vt = np.linalg.svd(gain)
+            gain = (U * np.clip(strengths, _WEAKEST, _STRONGEST)) @ Vt
+            self.weakest = max(self.weakest, _WEAKEST)
+            (a, b), (c, d) = gain.tolist()
+        self.matrix = gain
+        self._inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
+
+
+def _plain(displacements: ArrayLike, name: str) -> Points:
+    displacements = as_points(displacements, name)
+    if displacements.size and not np.abs(displacements).max() < _LARGEST_LEARNED_PX:
+        largest = np.abs(displacements).max()
+        raise ShapeError(f"{name}: up to {largest:g}; need less than {_LARGEST_LEARNED_PX:g} px")
+    return displacements
 
 
 def _parameters(motion: Floats) -> Floats:

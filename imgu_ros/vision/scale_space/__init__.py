@@ -9,7 +9,7 @@ sigma_f^2. A pyramid keeps each octave at half the size of the one before.
 | `gaussian` | `smooth`: any kernel, any border, uint8, uint16, float32 | a picture is to be smoothed |
 | `kernels` | the sampled Gaussian, and the discrete one, T(n, t) = exp(-t) I_n(t) | the numbers themselves are needed |
 | `recursive` | an infinite response, at a time that does not depend on sigma | sigma is large |
-| `pyramid` | `build_pyramid`: octaves, scales between, or bands; where each pixel lies | features at many sizes |
+| `pyramid` | `build_pyramid`: octaves, scales between, or bands; `PixelScaling` | features at many sizes |
 | `laplacian` | bands that add up to the picture again, bit for bit | editing, fusing or coding by scales |
 
 The kernels, and which to take:
@@ -29,7 +29,9 @@ from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
 from imgu_ros.vision.scale_space.kernels import discrete_gaussian, discrete_reach, sampled_gaussian
 from imgu_ros.vision.scale_space.laplacian import LaplacianPyramid, laplacian_pyramid, reconstructed
 from imgu_ros.vision.scale_space.pyramid import (
+    AlignedPixels,
     Level,
+    PixelScaling,
     Pyramid,
     PyramidKind,
     band_passed,
@@ -40,9 +42,11 @@ from imgu_ros.vision.scale_space.pyramid import (
 from imgu_ros.vision.scale_space.recursive import smooth_recursively
 
 __all__ = [
+    "AlignedPixels",
     "GaussianKernel",
     "LaplacianPyramid",
     "Level",
+    "PixelScaling",
     "Pyramid",
     "PyramidKind",
     "band_passed",

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from imgu_ros.arguments import as_integer, as_number, require_type
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Choice, Floats, Image, Points, as_floats, as_image, as_points
+from imgu_ros.types import Choice, Floats, Image, Matrix3, Points, as_floats, as_image, as_points
 from imgu_ros.vision.processing.interpolation import Interpolation, resized
 from imgu_ros.vision.processing.points import full_scale, require_range
 from imgu_ros.vision.scale_space.gaussian import GaussianKernel, smooth
@@ -23,6 +23,8 @@ _BAND_OCTAVES = 3
 
 #: Blur that a sampled image is taken to have, in its own pixels (Lowe 2004, section 3.3).
 CAMERA_SIGMA_PX = 0.5
+#: Larger numbers are no ratio of image sizes.
+_LARGEST_STEP = 1e9
 
 
 class PyramidKind(Choice):
@@ -33,15 +35,83 @@ class PyramidKind(Choice):
     LAPLACIAN = "laplacian"  #: one level an octave, as bands around mid-grey: see `band_passed`
 
 
+class AlignedPixels:
+    """Points in an image and in a reduction of it: their pixel areas, not their pixel centres, are aligned.
+
+        x_full = (x_reduced + 0.5) * step - 0.5
+
+    Base of `PixelScaling`, and of the levels of a pyramid.
+
+    Attributes
+    ----------
+    step : (2,) px of the full-resolution image in one px of the reduced image, along x and y
+    """
+
+    __slots__ = ()
+    step: Floats
+
+    def to_full(self, xy: ArrayLike) -> Points:
+        """Map points (N, 2) of the reduced image to the full-resolution image."""
+        return (as_points(xy, "xy") + 0.5) * self.step - 0.5
+
+    def from_full(self, xy: ArrayLike) -> Points:
+        """Map points (N, 2) of the full-resolution image to the reduced image."""
+        return (as_points(xy, "xy") + 0.5) / self.step - 0.5
+
+    def to_full_unchecked(self, xy: Points) -> Points:
+        """`to_full` without the checks of its argument."""
+        return (xy + 0.5) * self.step - 0.5
+
+    def from_full_unchecked(self, xy: Points) -> Points:
+        """`from_full` without the checks of its argument."""
+        return (xy + 0.5) / self.step - 0.5
+
+
+class PixelScaling(AlignedPixels):
+    """The scaling between an image and a reduction of it, also as homographies.
+
+    Parameters
+    ----------
+    step : one number, or (2,) along x and y: px of the full-resolution image in one px of the reduced image
+
+    Attributes
+    ----------
+    full_from_reduced, reduced_from_full : (3, 3)
+
+    Raises
+    ------
+    ShapeError
+        If the step is not one or two finite numbers above 0.
+
+    Examples
+    --------
+    >>> half = PixelScaling(2.0)
+    >>> half.to_full([[0, 0]]).tolist(), half.from_full([[0.5, 2.5]]).tolist()
+    ([[0.5, 0.5]], [[0.0, 1.0]])
+    """
+
+    __slots__ = ("full_from_reduced", "reduced_from_full", "step")
+
+    def __init__(self, step: ArrayLike) -> None:
+        values = as_floats(step, "step")
+        if values.shape not in ((), (2,)) or not (values > 1 / _LARGEST_STEP).all() or values.max() > _LARGEST_STEP:
+            raise ShapeError(f"step: {values.tolist()}; need one or two numbers above 0")
+        self.step: Floats = np.full(2, values)
+        sx, sy = self.step
+        self.full_from_reduced: Matrix3 = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+        self.reduced_from_full: Matrix3 = np.array(
+            [[1 / sx, 0, 0.5 / sx - 0.5], [0, 1 / sy, 0.5 / sy - 0.5], [0, 0, 1]]
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class Level(AlignedPixels):
     """One level of a pyramid.
 
     Attributes
     ----------
     image : (H, W)
-    step : (2,) full-resolution pixels in one pixel of this level, along x and y, >= 1. Pixel areas, not centres,
-        are aligned: x_full = (x_level + 0.5) * step - 0.5
+    step : (2,) full-resolution pixels in one pixel of this level, along x and y, >= 1; see `AlignedPixels`
     """
 
     image: Image
@@ -51,14 +121,6 @@ class Level:
     def scale(self) -> float:
         """Full-resolution pixels in one pixel of this level: the geometric mean of `step`."""
         return math.sqrt(float(self.step[0] * self.step[1]))
-
-    def to_full(self, xy: Points) -> Points:
-        """Map points (N, 2) of this level to the full-resolution image."""
-        return (as_points(xy, "xy") + 0.5) * self.step - 0.5
-
-    def from_full(self, xy: Points) -> Points:
-        """Map points (N, 2) of the full-resolution image to this level."""
-        return (as_points(xy, "xy") + 0.5) / self.step - 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.types import Image, Indices, Points
-from imgu_ros.vision.matching.alignment import Displacements, LocalDistortion, Patches, as_grey
-from imgu_ros.vision.matching.blur_gain import BlurGain
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
-from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.patch_bank import Displacements, LocalDistortion, PatchBank, Patches, as_grey
 
 CENTRES = np.array([[10.0, 10.0], [20.0, 12.0], [15.0, 22.0], [25.0, 24.0]])
 ORIGINS = np.array([[2.0, 2.0], [12.0, 4.0], [6.0, 14.0], [16.0, 16.0]])
@@ -35,34 +33,26 @@ def selected(image: Image, centres: Points, chosen: Indices, picture: Image, H: 
     return some.displacements(some.sampled(picture, H))
 
 
-def bent(some: Patches, straight: Points, bent: Points, by_straight: np.ndarray, picture: Image) -> Image:
-    return some.sampled(picture, np.eye(3), LocalDistortion(straight, bent, by_straight))
+def through_a_lens(
+    some: Patches, straight: Points, distorted: Points, by_straight: np.ndarray, picture: Image
+) -> Image:
+    return some.sampled(picture, np.eye(3), LocalDistortion(straight, distorted, by_straight))
 
 
 def cut_and_sampled(origins: Points, image: Image, H: np.ndarray) -> Image:
-    sheet = PatchAtlas(origins, 16)
-    return patches(np.random.default_rng(1)).sampled(sheet.cut(image), H, sheet=sheet)
+    atlas = PatchAtlas(origins, 16)
+    return patches(np.random.default_rng(1)).sampled(atlas.cut(image), H, atlas=atlas)
 
 
-def from_a_sheet(some: Patches, sheet_picture: Image, H: np.ndarray) -> Image:
-    return some.sampled(sheet_picture, H, sheet=PatchAtlas(ORIGINS, 16), first=3)
-
-
-def learned(applied: Points, change: Points, measured: Points) -> Points:
-    response = BlurGain()
-    response.learn(applied, change)
-    return response.corrected(measured)
-
-
-def small(rng: np.random.Generator) -> Points:
-    return rng.normal(0, 0.3, (7, 2))
+def from_an_atlas(some: Patches, squares: Image, H: np.ndarray) -> Image:
+    return some.sampled(squares, H, atlas=PatchAtlas(ORIGINS, 16), first=3)
 
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
     as_grey: lambda rng: {"image": picture(rng, np.float32), "name": "image"},
     PatchBank: lambda rng: {"image": picture(rng, np.uint16), "centres": CENTRES.copy(), "window_px": 7},
     PatchBank.select: lambda rng: {"self": PatchBank(picture(rng), CENTRES, 7), "chosen": np.array([2, 0])},
-    Patches.sampled: lambda rng: {"self": patches(rng), "picture": picture(rng), "H": homography()},
+    Patches.sampled: lambda rng: {"self": patches(rng), "image": picture(rng), "H": homography()},
     Patches.displacements: lambda rng: {"self": patches(rng), "samples": rng.integers(0, 256, (4, 49), np.uint8)},
     selected: lambda rng: {
         "image": picture(rng, np.float32),
@@ -71,22 +61,19 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "picture": picture(rng, np.float32),
         "H": np.eye(3),
     },
-    bent: lambda rng: {
+    through_a_lens: lambda rng: {
         "some": patches(rng),
         "straight": CENTRES.copy(),
-        "bent": CENTRES + rng.normal(size=(4, 2)),
+        "distorted": CENTRES + rng.normal(size=(4, 2)),
         "by_straight": np.eye(2) + 0.1 * rng.normal(size=(4, 2, 2)),
         "picture": picture(rng, np.uint16),
     },
     cut_and_sampled: lambda rng: {"origins": ORIGINS.copy(), "image": picture(rng, np.float32), "H": homography()},
-    from_a_sheet: lambda rng: {
+    from_an_atlas: lambda rng: {
         "some": patches(rng),
-        "sheet_picture": PatchAtlas(ORIGINS, 16).cut(picture(rng)),
+        "squares": PatchAtlas(ORIGINS, 16).cut(picture(rng)),
         "H": homography(),
     },
-    BlurGain.learn: lambda rng: {"self": BlurGain(), "applied": small(rng), "change": small(rng)},
-    BlurGain.corrected: lambda rng: {"self": BlurGain(), "measured": small(rng)},
-    learned: lambda rng: {"applied": small(rng), "change": small(rng), "measured": small(rng)},
     PatchAtlas: lambda rng: {"origins": ORIGINS.copy(), "side": 16},
-    PatchAtlas.cut: lambda rng: {"self": PatchAtlas(ORIGINS, 16), "picture": picture(rng)},
+    PatchAtlas.cut: lambda rng: {"self": PatchAtlas(ORIGINS, 16), "image": picture(rng)},
 }

@@ -10,7 +10,7 @@ import numpy as np
 from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.projective.homography import HomographyNormalEquations, homography_normal_equations
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
-from imgu_ros.vision.projective.plane_motion import Motion, PlaneMotion
+from imgu_ros.vision.projective.plane_motion import BlurGain, Motion, PlaneMotion
 
 POINTS = np.array([[x + 3.0 * (y == 50), y] for y in (0.0, 50.0, 100.0) for x in (0.0, 40.0, 80.0, 120.0)])
 H = np.array([[1.2, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
@@ -42,6 +42,16 @@ def one_left_out(displacements: Points, H: Matrix3, correlation: Floats) -> Homo
     motions = PlaneMotion(POINTS)
     start = motions.fit(displaced(np.random.default_rng(0)), np.arange(12) != 5)
     return homography_normal_equations(motions, displacements, start, H, np.eye(3), correlation)
+
+
+def learned(applied: Points, change: Points, measured: Points) -> Points:
+    response = BlurGain()
+    response.learn(applied, change)
+    return response.corrected(measured)
+
+
+def small(rng: np.random.Generator) -> Points:
+    return rng.normal(0, 0.3, (7, 2))
 
 
 CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, object]]] = {
@@ -76,4 +86,7 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
         "H": H.copy(),
         "correlation": 0.9 * np.eye(12) + 0.1,
     },
+    BlurGain.learn: lambda rng: {"self": BlurGain(), "applied": small(rng), "change": small(rng)},
+    BlurGain.corrected: lambda rng: {"self": BlurGain(), "measured": small(rng)},
+    learned: lambda rng: {"applied": small(rng), "change": small(rng), "measured": small(rng)},
 }

@@ -47,12 +47,9 @@ CALLS: dict[Callable, Callable[[np.random.Generator], dict[str, object]]] = {
     pyramid.enlarged: lambda rng: {"image": _real(rng), "size": (20, 30)},
     pyramid.band_passed: lambda rng: {"pyramid": pyramid.build_pyramid(_grey(rng), "coarse", 2, min_side_px=4)},
     bands_of: lambda rng: {"image": _real(rng)},
-    pyramid.Level.to_full: lambda rng: {
-        "self": pyramid.Level(_grey(rng), np.array([2.0, 3.0])), "xy": rng.uniform(0, 9, (5, 2)),
-    },
-    pyramid.Level.from_full: lambda rng: {
-        "self": pyramid.Level(_grey(rng), np.array([2.0, 3.0])), "xy": rng.uniform(0, 9, (5, 2)),
-    },
+    pyramid.PixelScaling: lambda rng: {"step": np.array([2.0, 3.0])},
+    pyramid.AlignedPixels.to_full: lambda rng: {"self": pyramid.PixelScaling(2.0), "xy": rng.uniform(0, 9, (5, 2))},
+    pyramid.AlignedPixels.from_full: lambda rng: {"self": pyramid.PixelScaling(2.0), "xy": rng.uniform(0, 9, (5, 2))},
     there_and_back: lambda rng: {"xy": rng.uniform(0, 9, (5, 2))},
     laplacian.laplacian_pyramid: lambda rng: {"image": _real(rng), "levels": 2},
     laplacian.reconstructed: lambda rng: {"pyramid": laplacian.laplacian_pyramid(_grey(rng), 2)},

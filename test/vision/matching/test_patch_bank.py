@@ -9,9 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
-from imgu_ros.vision.matching.alignment import LocalDistortion
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
-from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.matching.patch_bank import LocalDistortion, PatchBank
 from imgu_ros.vision.projective.transform import transform
 
 SIDE = 160
@@ -96,25 +95,25 @@ def test_the_first_patches_alone_and_a_selection_give_the_same(bank: PatchBank) 
     assert_allclose(some.overlap, np.eye(3))
 
 
-def test_a_lens_bends_where_samples_come_from(bank: PatchBank) -> None:
+def test_distortion_moves_the_samples(bank: PatchBank) -> None:
     """A lens that enlarges by 1.1 about (80, 80), told point by point."""
     zoom = np.array([[1.1, 0, -8.0], [0, 1.1, -8.0], [0, 0, 1]])
     patches = bank.select(EVERY)
-    bend = LocalDistortion(GRID, transform(zoom, GRID), np.tile(1.1 * np.eye(2), (len(GRID), 1, 1)))
-    bent = patches.sampled(picture(zoom), np.eye(3), bend)
-    assert_allclose(bent, patches.sampled(picture(zoom), zoom), atol=2e-3)
+    distortion = LocalDistortion(GRID, transform(zoom, GRID), np.tile(1.1 * np.eye(2), (len(GRID), 1, 1)))
+    distorted = patches.sampled(picture(zoom), np.eye(3), distortion)
+    assert_allclose(distorted, patches.sampled(picture(zoom), zoom), atol=2e-3)
 
 
-def test_a_sheet_of_squares_gives_the_same_samples_as_the_picture(bank: PatchBank) -> None:
+def test_an_atlas_of_squares_gives_the_same_samples_as_the_picture(bank: PatchBank) -> None:
     H = np.array([[0.95, -0.1, 8.0], [0.1, 0.95, -6.0], [0, 0, 1]])
     seen_in = np.rint(picture(H) * 255).astype(np.uint8)
-    sheet = PatchAtlas(np.clip(np.rint(transform(H, GRID)) - 12, 0, SIDE - 24), 24)
-    cut = sheet.cut(seen_in)
+    atlas = PatchAtlas(np.clip(np.rint(transform(H, GRID)) - 12, 0, SIDE - 24), 24)
+    cut = atlas.cut(seen_in)
     assert cut.shape == (24 * len(GRID), 24)
-    x, y = sheet.origins[5]
+    x, y = atlas.origins[5]
     assert np.array_equal(cut[5 * 24 : 6 * 24], seen_in[y : y + 24, x : x + 24])
     patches = bank.select(EVERY)
-    assert np.abs(patches.sampled(cut, H, sheet=sheet) - patches.sampled(seen_in, H).astype(np.float64)).max() <= 1
+    assert np.abs(patches.sampled(cut, H, atlas=atlas) - patches.sampled(seen_in, H).astype(np.float64)).max() <= 1
 
 
 def test_patches_at_the_rim_are_left_out() -> None:

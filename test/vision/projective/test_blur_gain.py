@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.matching.blur_gain import BlurGain
 from imgu_ros.vision.matching.patch_bank import PatchBank
+from imgu_ros.vision.projective.plane_motion import BlurGain
 
 TRUE = np.array([[0.4, 0.1], [0.1, 0.8]])
 
