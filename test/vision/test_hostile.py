@@ -78,6 +78,8 @@ BROKEN: list[str] = []
 
 def _modules() -> Iterator[ModuleType]:
     for info in pkgutil.walk_packages(imgu_ros.vision.__path__, "imgu_ros.vision."):
+        if not info.ispkg and info.name.count(".") == 2:
+            continue  # a table of methods, in no room
         try:
             yield importlib.import_module(info.name)
         except Exception as error:  # one broken module must not hide the others
