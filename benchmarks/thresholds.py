@@ -83,7 +83,7 @@ CONSTANTS = {
     "more_samples": "reference.features:_MORE_SAMPLES",
     "detection_reach_px": "detect.robust_fit:_DETECTION_REACH_PX",
     "confirming_share": "detect.robust_fit:_CONFIRMING_SHARE",
-    "guided_ratio": "detect.guided_matching:_RATIO",
+    "guided_ratio": "detect.search_passes:_RATIO",
     "largest_view": "reference.features:_LARGEST_VIEW",
     "richness": "reference.features:_RICHNESS",
     "shortening": "reference.features:_SHORTENING",

@@ -15,7 +15,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.robust_fit import draws
-from imgu_ros.detect.search_passes import Searched, SearchPass, search, tentative_matches
+from imgu_ros.detect.search_passes import SearchPass, search, tentative_matches
 from imgu_ros.reference.features import TargetFeatures, extractor_options, thorough_parameters
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.result import ReferenceResult, Stage, Status
@@ -122,11 +122,17 @@ class ReferenceDetector:
             parameters = thorough_parameters(parameters)
             features = find_features(context.image, parameters, self._extractor, context.clock)
         features = _uncovered(features, covered, context.image.shape)
-        searched = Searched(context.frame, context.image, features, search_pass)
         with context.clock.measures(Stage.MATCH):
             likely = self._likely(features.described, wanted, _FEWEST_VOTES[search_pass])
         return while_promising(
-            search(reference, searched, parameters, draws(parameters, context.frame.stamp_ns, reference), context.clock)
+            search(
+                reference,
+                search_pass,
+                features,
+                context,
+                parameters,
+                draws(parameters, context.frame.stamp_ns, reference),
+            )
             for reference in likely
         )
 

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looking for one target in one frame: its keypoints are matched, and what agrees is located."""
+"""The search for one planar reference in one frame: its keypoints are matched, and those that agree locate it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
@@ -12,81 +10,75 @@ import numpy as np
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import Features
-from imgu_ros.detect.guided_matching import guided
-from imgu_ros.detect.robust_fit import Sight, located
-from imgu_ros.frame import Frame
-from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import bending
+from imgu_ros.detect.frame_context import FrameContext
+from imgu_ros.detect.robust_fit import LocatedMatches, RobustFit
+from imgu_ros.errors import EstimationError
+from imgu_ros.pose.planar_pose import Located, bending, require_plausible
 from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import PlanarReference
-from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, StageClock, Status
+from imgu_ros.reference.reference import Reference
+from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
+from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.matching.guided import guided_homography
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.nearest import match_to_gallery
 
+#: Ratio of descriptor distances: with few rivals near a predicted place it may be looser than among all. Measured:
+#: benchmarks/thresholds.py, study detection.
+_RATIO = 0.95
+
 
 class SearchPass(StrEnum):
-    """How a target is looked for."""
+    """How thoroughly a reference is searched."""
 
-    FIRST = "first"  #: quickly, at every scale
-    CLOSE = "close"  #: as quickly, when the camera is so near that little of it is in view
-    THOROUGH = "thorough"  #: with more of the frame's keypoints, also from the side
+    FIRST = "first"  #: fast, at every scale
+    CLOSE = "close"  #: fast, for a camera so near that little of the reference is in view
+    THOROUGH = "thorough"  #: with more of the frame's keypoints, and oblique views of the reference
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Searched:
-    """A frame, ready to be searched.
-
-    Attributes
-    ----------
-    frame : as it came
-    pictures : the grey one, at every resolution
-    features : the frame's keypoints and descriptors
-    look : which of a target's they are to be matched to
-    """
-
-    frame: Frame
-    pictures: FrameImage
-    features: Features
-    look: SearchPass = SearchPass.FIRST
-
-    def features_of(self, target: PlanarReference) -> TargetFeatures:
-        """Return what this frame's descriptors are to be matched to."""
-        return _FEATURES[self.look](target)
+    def features_of(self, reference: PlanarReference) -> TargetFeatures:
+        """Return the features of a reference that the frame's are matched to."""
+        if self is SearchPass.FIRST:
+            return reference.features
+        return (reference.close if self is SearchPass.CLOSE else reference.thorough).features()
 
 
 def search(
-    target: PlanarReference,
-    searched: Searched,
+    reference: PlanarReference,
+    search_pass: SearchPass,
+    features: Features,
+    context: FrameContext,
     parameters: Parameters,
     rng: np.random.Generator,
-    clock: StageClock,
 ) -> ReferenceResult:
-    """Look for a target in a frame; what fails becomes a status with its reason."""
-    with clock.measures(Stage.MATCH):
-        known = searched.features_of(target)
-        matches = tentative_matches(known, searched.features.described, parameters)
-    missing = ReferenceResult(target.name, target.number, Status.LOST, matches=matches)
-    frame = searched.frame
-    sight = Sight(frame, searched.pictures, searched.features.unit_px)
+    """Search a frame for a reference; a failure becomes a status with its reason.
+
+    Parameters
+    ----------
+    reference : the reference
+    search_pass : which of its features are matched
+    features : of the frame, for this pass
+    context : the frame
+    parameters : all parameters, of this pass
+    rng : draws minimal samples
+    """
+    with context.clock.measures(Stage.MATCH):
+        known = search_pass.features_of(reference)
+        matches = tentative_matches(known, features.described, parameters)
+    missing = ReferenceResult(reference.name, reference.number, Status.LOST, matches=matches)
     guide = None
     if parameters.matching.guided:
-        guide = partial(guided, target, known, searched.features, lens=bending(frame.camera), parameters=parameters)
-    return located(missing, target, sight, parameters, rng, clock, guide)
-
-
-_FEATURES: dict[SearchPass, Callable[[PlanarReference], TargetFeatures]] = {
-    SearchPass.FIRST: lambda target: target.features,
-    SearchPass.CLOSE: lambda target: target.close.features(),
-    SearchPass.THOROUGH: lambda target: target.thorough.features(),
-}
+        lens = bending(context.frame.camera)
+        guide = partial(guided, reference, known, features, lens=lens, parameters=parameters)
+    fit = RobustFit(context.frame, context.image, features.unit_px, parameters, context.clock)
+    return fit.locate(missing, reference, rng, guide)
 
 
 def tentative_matches(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> ReferenceMatches:
-    """Match the descriptors of a frame to those of a target, best first."""
+    """Match the descriptors of a frame to those of a reference, best first."""
     p = parameters.matching
     found = match_to_gallery(described.descriptors, known.gallery, p.ratio, p.mutual)
-    # Sought from the frame to the target, told from the target to the frame.
+    # Matched from the frame to the reference, reported from the reference to the frame.
     matches = Matches(found.index_dst, found.index_src, found.distance)
     return ReferenceMatches(
         matches,
@@ -94,3 +86,44 @@ def tentative_matches(known: TargetFeatures, described: Descriptions, parameters
         described.keypoints.xy[matches.index_dst],
         np.zeros(len(matches), bool),
     )
+
+
+def guided(
+    reference: Reference,
+    known: TargetFeatures,
+    features: Features,
+    found: LocatedMatches,
+    lens: Camera | None,
+    parameters: Parameters,
+) -> LocatedMatches:
+    """Match again, guided by the homography of `found`, to convergence; `found` itself when that brings no more."""
+    p = parameters.homography
+    described = features.described
+    xy, usable = described.keypoints.xy, np.arange(len(described.keypoints))
+    if lens is not None:
+        xy, inside = lens.ideal_pixels(xy)
+        usable = np.flatnonzero(inside)
+    try:
+        more = guided_homography(
+            known.described.descriptors,
+            described.descriptors[usable],
+            known.described.keypoints.xy,
+            xy[usable],
+            found.located.homography.H,
+            threshold_px=p.threshold_px * features.unit_px,
+            metric=known.gallery.metric,
+            ratio=max(_RATIO, parameters.matching.ratio),
+            min_inliers=max(p.min_inliers, int(found.matches.inliers.sum())),
+            error=p.error,
+            refine=None if p.refine == "none" else p.refine,
+        )
+        require_plausible(reference.plane, more.homography)
+    except EstimationError:
+        return found
+    inliers = more.homography.inliers
+    matches = Matches(more.matches.index_src, usable[more.matches.index_dst], more.matches.distance)
+    tentative = ReferenceMatches(
+        matches, known.described.keypoints.xy[matches.index_src], described.keypoints.xy[matches.index_dst], inliers
+    )
+    located = Located(tentative.template_xy[inliers], tentative.image_xy[inliers], more.homography)
+    return LocatedMatches(tentative, located)

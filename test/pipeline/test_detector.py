@@ -88,7 +88,7 @@ def test_a_target_that_is_near_needs_no_thorough_search(reduced: int, monkeypatc
     chain = Localizer(parameters, prepare_references([TargetImage(known.name, picture, known.width_m)], parameters))
     looks = []
     search = seeking.search
-    monkeypatch.setattr(seeking, "search", lambda t, what, *rest: looks.append(what.look) or search(t, what, *rest))
+    monkeypatch.setattr(seeking, "search", lambda t, which, *rest: looks.append(which) or search(t, which, *rest))
     shift = reduced / 2 - 0.5
     full_from_reduced = np.array([[reduced, 0, shift], [0, reduced, shift], [0, 0, 1]])
     for simulated in trial_frames(trial):

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from imgu_ros.config.parameters import MatchingParameters, Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.detect.features import Features
-from imgu_ros.detect.guided_matching import Guided, guided
+from imgu_ros.detect.robust_fit import LocatedMatches
+from imgu_ros.detect.search_passes import guided
 from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
@@ -113,7 +114,9 @@ def test_guided_matching_that_brings_no_more_changes_nothing(
     assert found.matches is not None and found.homography is not None
     assert result.keypoints is not None and result.descriptors is not None
     nowhere = replace(result.keypoints, xy=result.keypoints.xy + 1e5)
-    before = Guided(found.matches, Located(found.matches.template_xy, found.matches.image_xy, found.homography, None))
+    before = LocatedMatches(
+        found.matches, Located(found.matches.template_xy, found.matches.image_xy, found.homography, None)
+    )
     assert result.pyramid is not None
     features = Features(result.pyramid, Descriptions(nowhere, result.descriptors))
     assert guided(target, target.features, features, before, None, Parameters()) is before

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
-from imgu_ros.detect import robust_fit as locating
+from imgu_ros.detect.robust_fit import RobustFit
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
@@ -298,7 +298,7 @@ def test_a_reset_forgets_what_frames_said_of_the_calibration() -> None:
 
 
 def test_what_patches_do_not_confirm_says_nothing_of_the_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(locating, "_aligned", lambda *_: None)
+    monkeypatch.setattr(RobustFit, "_aligned", lambda *_: None)
     images, frames = sequence(1, 1)
     told = Six(parameters_from({**OFF, "refinement.enabled": True}), images).work(frames[0]).result
     assert told is not None

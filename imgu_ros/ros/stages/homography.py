@@ -13,8 +13,9 @@ from rclpy.node import Node
 from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
 from imgu_ros.detect.detector import while_promising
 from imgu_ros.detect.features import reduction_of
-from imgu_ros.detect.robust_fit import Sight, draws, located
+from imgu_ros.detect.robust_fit import RobustFit, draws
 from imgu_ros.errors import ImguError, ParameterError
+from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import develop
 from imgu_ros.messages.features import decode_target_matches, matches_message
 from imgu_ros.messages.header import Header, decode_header
@@ -81,14 +82,14 @@ class HomographyStage(TargetStage):
         """See `Stage.work`."""
         header = decode_header(job.messages[_MATCHES])
         tentative = decode_target_matches(job.messages[_MATCHES])
-        sight = self._sight(job, header)
         clock = StageClock()
+        frame, fit = self._robust_fit(job, header, clock)
         places: dict[str, Located] = {}
 
         def finish(found: ReferenceResult, place: Located) -> ReferenceResult:
             # The pose is another stage's.
             places[found.name] = place
-            return with_homography(found, self.targets[found.number].plane, place, sight.frame.camera)
+            return with_homography(found, self.targets[found.number].plane, place, frame.camera)
 
         def sought() -> Iterator[ReferenceResult]:
             for number, matches in tentative.items():
@@ -97,14 +98,14 @@ class HomographyStage(TargetStage):
                 target = self.targets[number]
                 missing = ReferenceResult(target.name, number, Status.LOST, matches=matches)
                 rng = draws(self.parameters, header.stamp_ns, target)
-                yield located(missing, target, sight, self.parameters, rng, clock, finish=finish)
+                yield fit.locate(missing, target, rng, finish=finish)
 
         found = by_name(while_promising(sought()))
         results = {
             each.name: found.get(each.name) or ReferenceResult(each.name, each.number, Status.LOST, reason=no_matches())
             for each in self.targets
         }
-        result = Result(sight.frame, results, times_ns=clock.times_ns, total_ns=sum(clock.times_ns.values()))
+        result = Result(frame, results, times_ns=clock.times_ns, total_ns=sum(clock.times_ns.values()))
         outputs.publish(result)
         fitted = [
             replace(found[each.name], matches=_agreeing(places[each.name]))
@@ -113,12 +114,11 @@ class HomographyStage(TargetStage):
         ]
         outputs.offer(INLIERS, lambda: matches_message(make_message, header, fitted))
 
-    def _sight(self, job: StageJob, header: Header) -> Sight:
-        pictures = None
+    def _robust_fit(self, job: StageJob, header: Header, clock: StageClock) -> tuple[Frame, RobustFit]:
+        image = None
         if _PICTURE in job.messages:
-            developed = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
-            pictures = developed
-            height, width = pictures.shape
+            image = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())
+            height, width = image.shape
         elif job.camera_info is not None:
             size = image_size(job.camera_info)
             width, height = size.width, size.height
@@ -128,8 +128,8 @@ class HomographyStage(TargetStage):
             raise ImguError("frame: neither image_mono nor camera_info; need one of them, or camera.info_file")
         read = self.reading.camera(job.camera_info, (width, height))
         self.remarks = unusable(read) or read.remarks
-        unit_px = reduction_of((height, width), self.parameters).unit_px
-        return Sight(frame_without_image(header, read), pictures, unit_px)
+        frame, unit_px = frame_without_image(header, read), reduction_of((height, width), self.parameters).unit_px
+        return frame, RobustFit(frame, image, unit_px, self.parameters, clock)
 
 
 def _agreeing(place: Located) -> ReferenceMatches:
