@@ -110,3 +110,18 @@ def test_options_of_commands_exist(repository: Path, page: str, capsys: pytest.C
         known = capsys.readouterr().out
         for option in re.findall(r"(?<!\S)--[a-z-]+", rest.partition("#")[0]):
             assert option in known, f"imgu {command} {option}"
+
+
+def test_every_cited_section_is_in_the_list_of_sources(repository: Path) -> None:
+    """`IU 5.2.1` in a docstring leads to a row of docs/references.md."""
+    listed = set(
+        re.findall(r"^\| ([1-8](?:\.\d)+) \|", (repository / "docs/references.md").read_text("utf-8"), re.MULTILINE)
+    )
+    assert len(listed) > 100
+    cited = {
+        section
+        for path in sorted((repository / "imgu_ros").rglob("*.py"))
+        for group in re.findall(r"\bIU (\d[\d., andto-]*)", path.read_text("utf-8"))
+        for section in re.findall(r"\d(?:\.\d)+", group)
+    }
+    assert cited and cited <= listed, sorted(cited - listed)

@@ -275,7 +275,7 @@ def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameter
 
     8-bit input keeps its values unless black or white level are set. Deeper input is brought to 8 bits between
     black and white level where they are known, else between percentiles of this frame, which also is the
-    automatic gain of infrared pictures (notes 1.2.4).
+    automatic gain of infrared pictures (IU 1.2.4).
 
     Raises
     ------

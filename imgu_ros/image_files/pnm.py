@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PNM files: PBM, PGM and PPM, plain (ASCII) and binary (notes 1.4.3; the netpbm project's format descriptions).
+"""PNM files: PBM, PGM and PPM, plain (ASCII) and binary (IU 1.4.3; the netpbm project's format descriptions).
 
 OpenCV reads them too, but scales plain files of maxval < 255 and not binary ones, lets values above maxval pass, and
 writes to stderr about damaged ones. Here values are always those of the file.

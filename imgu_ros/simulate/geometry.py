@@ -13,7 +13,7 @@ from imgu_ros.vision.camera.rigid import RigidTransform
 def image_from_template(K: Matrix3, camera_from_target: RigidTransform, target_from_template: Matrix3) -> Matrix3:
     """Return H_image_template of a printed plane: unit Frobenius norm, w > 0 at the target's centre.
 
-    A point of the target's plane z = 0 projects by K [r1 r2 t] (notes 8.1.5). Of many poses, R (N, 3, 3) and t (N, 3),
+    A point of the target's plane z = 0 projects by K [r1 r2 t] (IU 8.1.5). Of many poses, R (N, 3, 3) and t (N, 3),
     it is (N, 3, 3).
 
     Raises

@@ -5,6 +5,9 @@ Each room exports its public functions and classes: `from imgu_ros.vision.projec
 package itself imports nothing; the rooms are `formation`, `processing`, `scale_space`, `keypoints`, `descriptors`,
 `matching`, `projective`, `estimation` and `camera`, in the order in which light becomes a pose.
 
+Sources are papers by author and year, HZ (Hartley & Zisserman 2004), and IU, lecture notes whose sections
+`docs/references.md` leads to texts with the same content.
+
 What arguments may be, the same in all rooms:
 
 - Images are (H, W) or (H, W, 3) RGB, uint8, uint16 or float32 in [0, 1]. float64, bool and other integers are taken

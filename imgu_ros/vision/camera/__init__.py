@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera: from rays to pixels and back, and what pictures of known things tell about it (notes 1.1.1-1.1.3, 8).
+"""The camera: from rays to pixels and back, and what pictures of known things tell about it (IU 1.1.1-1.1.3, 8).
 
 | you have | you want | take |
 |---|---|---|
@@ -29,7 +29,7 @@ matches alone, and `pose.ambiguity_ratio` decides when both solutions fit. The r
 `imgu calibrate`. Calibrate with the model that your lens needs: `plumb_bob` up to about 100 degrees of view,
 `rational_polynomial` for wide lenses with many good views, `equidistant` for fisheyes.
 
-Three slips of the notes: R_y in 8.1.5 is printed transposed, its last line reads x1 ~ K R^T K^-1 x2 (the inverse of
+Three slips of IU: R_y in 8.1.5 is printed transposed, its last line reads x1 ~ K R^T K^-1 x2 (the inverse of
 x2 ~ K R K^-1 x1), and the y axis of 8.1.3 points up, where pictures have it down.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Focal length and angle of view of a pinhole (notes 1.1.1, 1.1.3, 8.1.3)."""
+"""Focal length and angle of view of a pinhole (IU 1.1.1, 1.1.3, 8.1.3)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def intrinsic_matrix(width: int, height: int, angle_of_view_rad: float) -> Matri
 
 
 def intrinsic_matrix_of_lens(width: int, height: int, focal_length_m: float, pixel_m: float) -> Matrix3:
-    """Return K of a lens before a sensor: f = focal length / pixel pitch, in px (notes 8.1.3).
+    """Return K of a lens before a sensor: f = focal length / pixel pitch, in px (IU 8.1.3).
 
     Parameters
     ----------

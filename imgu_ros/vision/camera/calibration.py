@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Intrinsics and lens distortion from views of a plane with known points (notes 1.1.3; Zhang 2000).
+"""Intrinsics and lens distortion from views of a plane with known points (IU 1.1.3; Zhang 2000).
 
 Every view's pose, K and the distortion are refined together by the reprojection error (Levenberg-Marquardt); the
 covariance is that of the normal equations, with the noise taken from the residuals.

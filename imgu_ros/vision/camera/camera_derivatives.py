@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How pixels move with the camera's numbers: focal lengths, principal point, distortion coefficients (notes 1.1.3)."""
+"""How pixels move with the camera's numbers: focal lengths, principal point, distortion coefficients (IU 1.1.3)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera matrix from correspondences of which some are wrong: RANSAC over samples of six (notes 7.5, 8.1.5)."""
+"""A camera matrix from correspondences of which some are wrong: RANSAC over samples of six (IU 7.5, 8.1.5)."""
 
 from __future__ import annotations
 

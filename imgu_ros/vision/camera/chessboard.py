@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner corners of a chessboard in a picture (OpenCV), and where they are on the board (notes 1.1.3)."""
+"""The inner corners of a chessboard in a picture (OpenCV), and where they are on the board (IU 1.1.3)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera matrix taken apart: P = K [R | t] by RQ decomposition (notes 8.1.5; HZ section 6.2.4)."""
+"""A camera matrix taken apart: P = K [R | t] by RQ decomposition (IU 8.1.5; HZ section 6.2.4)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lens distortion: the models of sensor_msgs/CameraInfo, their derivatives, their inverse and its limit (notes 1.1.3).
+"""Lens distortion: the models of sensor_msgs/CameraInfo, their derivatives, their inverse and its limit (IU 1.1.3).
 
 All act on normalised coordinates x = X / Z, y = Y / Z. With r^2 = x^2 + y^2:
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The names of the lens distortion models and of their coefficients, as in sensor_msgs/CameraInfo (notes 1.1.3)."""
+"""The names of the lens distortion models and of their coefficients, as in sensor_msgs/CameraInfo (IU 1.1.3)."""
 
 from __future__ import annotations
 

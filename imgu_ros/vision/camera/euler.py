@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Euler angles, with their order by name (notes 8.1.5)."""
+"""Euler angles, with their order by name (IU 8.1.5)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _LOCK = 1e-12
 class EulerOrder(Choice):
     """Which product of rotations about the axes the angles stand for.
 
-    The elementary rotations are the usual, right-handed ones; the R_y of notes 8.1.5 is printed transposed.
+    The elementary rotations are the usual, right-handed ones; the R_y of IU 8.1.5 is printed transposed.
     """
 
-    XYZ = "xyz"  #: R = R_x R_y R_z, as in notes 8.1.5
+    XYZ = "xyz"  #: R = R_x R_y R_z, as in IU 8.1.5
     ZYX = "zyx"  #: R = R_z R_y R_x: ROS's roll, pitch and yaw about fixed axes (REP 103)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a calibrated camera before a plane, from the plane's homography (notes 8.1.5; Collins & Bartoli 2014).
+"""The pose of a calibrated camera before a plane, from the plane's homography (IU 8.1.5; Collins & Bartoli 2014).
 
 A homography of a plane has eight degrees of freedom, a pose six: what a condensed homography knows of its points
 decides which pose fits best, at a cost that does not depend on their number.

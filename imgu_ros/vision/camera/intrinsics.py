@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibrated camera: intrinsic matrix, lens distortion, projection and its inverse (notes 1.1.1-1.1.3, 8.1).
+"""The calibrated camera: intrinsic matrix, lens distortion, projection and its inverse (IU 1.1.1-1.1.3, 8.1).
 
 The distortion models are those of sensor_msgs/CameraInfo; see `imgu_ros.vision.camera.distortion`.
 """

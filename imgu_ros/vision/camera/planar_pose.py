@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a camera before a plane, from points of the plane (notes 8.1.5; Collins & Bartoli 2014, IPPE).
+"""The pose of a camera before a plane, from points of the plane (IU 8.1.5; Collins & Bartoli 2014, IPPE).
 
 A plane seen from afar fits two poses. Both are refined by reprojection error, and the quotient of the two errors
 says how sure the choice is.

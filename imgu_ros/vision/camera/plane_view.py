@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plane seen by a camera: H = K [r1 r2 t], and back to the pose (notes 8.1.5; Zhang 2000, section 2.2)."""
+"""A plane seen by a camera: H = K [r1 r2 t], and back to the pose (IU 8.1.5; Zhang 2000, section 2.2)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibrated camera's pose from points in space, with or without wrong correspondences (notes 8.1.5, 7.5).
+"""A calibrated camera's pose from points in space, with or without wrong correspondences (IU 8.1.5, 7.5).
 
 The start is SQPnP (Terzakis & Lourakis 2020) or, in samples of three, P3P, both from OpenCV; the refinement and the
 covariance are ours. For points of one plane, `planar_pose` also tells the second solution.

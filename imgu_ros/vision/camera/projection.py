@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The projective camera P = K [R | t]: projection, centre, depths (notes 8.1.1-8.1.4; HZ chapter 6)."""
+"""The projective camera P = K [R | t]: projection, centre, depths (IU 8.1.1-8.1.4; HZ chapter 6)."""
 
 from __future__ import annotations
 

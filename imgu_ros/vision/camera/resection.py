@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera matrix from points of the world and their pictures: DLT and refinement (notes 8.1.5; HZ section 7.1)."""
+"""A camera matrix from points of the world and their pictures: DLT and refinement (IU 8.1.5; HZ section 7.1)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations: the exponential map and quaternions (HZ appendix A4.3; notes 8.1.5)."""
+"""Rotations: the exponential map and quaternions (HZ appendix A4.3; IU 8.1.5)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rotation between two views from one place, from correspondences of which some are wrong (notes 7.5, 8.1.5)."""
+"""The rotation between two views from one place, from correspondences of which some are wrong (IU 7.5, 8.1.5)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two views from one place: the rotation homography x2 ~ K R K^-1 x1, and back to R (notes 8.1.5; HZ section 8.4).
+"""Two views from one place: the rotation homography x2 ~ K R K^-1 x1, and back to R (IU 8.1.5; HZ section 8.4).
 
-The last line of notes 8.1.5 has x1 ~ K R^T K^-1 x2, which is the same homography read backwards.
+The last line of IU 8.1.5 has x1 ~ K R^T K^-1 x2, which is the same homography read backwards.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor that does not stand across the lens's axis: the tilt of OpenCV's model of 14 coefficients (notes 1.1.3).
+"""A sensor that does not stand across the lens's axis: the tilt of OpenCV's model of 14 coefficients (IU 1.1.3).
 
 A tilt is a homography of the normalised image plane that leaves the axis where it is (Scheimpflug; Louhichi, Fournel,
 Lavest & Ben Aissia 2007).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""BRIEF: 256 intensity comparisons at random places of a smoothed, upright patch (notes 5.4.1; Calonder 2010)."""
+"""BRIEF: 256 intensity comparisons at random places of a smoothed, upright patch (IU 5.4.1; Calonder 2010)."""
 
 from __future__ import annotations
 

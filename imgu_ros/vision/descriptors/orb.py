@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Oriented BRIEF: 256 intensity comparisons in a rotated, smoothed patch (notes 5.4.1, 5.5; Rublee 2011)."""
+"""Oriented BRIEF: 256 intensity comparisons in a rotated, smoothed patch (IU 5.4.1, 5.5; Rublee 2011)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Patches as descriptors: the pixels themselves, turned and scaled to the keypoint (notes 5.1)."""
+"""Patches as descriptors: the pixels themselves, turned and scaled to the keypoint (IU 5.1)."""
 
 from __future__ import annotations
 

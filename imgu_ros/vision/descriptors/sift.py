@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIFT and RootSIFT: 4x4 histograms of 8 gradient directions (notes 5.2.1; Lowe 2004, section 6; Arandjelovic 2012)."""
+"""SIFT and RootSIFT: 4x4 histograms of 8 gradient directions (IU 5.2.1; Lowe 2004, section 6; Arandjelovic 2012)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rotation between two sets of directions, in space: least squares, or by consensus (Kabsch 1976; notes 7.5)."""
+"""The rotation between two sets of directions, in space: least squares, or by consensus (Kabsch 1976; IU 7.5)."""
 
 from __future__ import annotations
 

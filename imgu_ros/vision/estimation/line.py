@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Straight lines a x + b y + c = 0: through points by total least squares, or by consensus (notes 7.1, 7.5)."""
+"""Straight lines a x + b y + c = 0: through points by total least squares, or by consensus (IU 7.1, 7.5)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear least squares: ordinary, weighted, total, homogeneous (notes 7.1, 7.2; HZ appendix 5)."""
+"""Linear least squares: ordinary, weighted, total, homogeneous (IU 7.1, 7.2; HZ appendix 5)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class LinearEstimate:
 def least_squares(A: ArrayLike, b: ArrayLike, covariance: ArrayLike | None = None) -> LinearEstimate:
     """Minimise (A x - b)^T C^-1 (A x - b): the best linear unbiased estimate when b has errors of covariance C.
 
-    The normal equations' solution (A^T C^-1 A)^-1 A^T C^-1 b of the notes, by QR of the whitened system, which keeps
+    The normal equations' solution (A^T C^-1 A)^-1 A^T C^-1 b of IU 7.2, by QR of the whitened system, which keeps
     twice the digits.
 
     Parameters

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust losses: how much a measurement's residual costs, and with what weight it counts (notes 7.5; HZ appendix 6.8).
+"""Robust losses: how much a measurement's residual costs, and with what weight it counts (IU 7.5; HZ appendix 6.8).
 
 A loss takes the squared lengths of residuals and gives weights and costs. Near zero every loss is the square itself,
 with weight 1; iteratively reweighted least squares with these weights minimises the sum of the costs.

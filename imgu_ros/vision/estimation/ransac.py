@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random sample consensus for any model (notes 7.5; Fischler & Bolles 1981; HZ section 4.7).
+"""Random sample consensus for any model (IU 7.5; Fischler & Bolles 1981; HZ section 4.7).
 
 Hypotheses are generated and scored in batches, and each promising one is refitted to its own inliers (LO-RANSAC,
 Chum, Matas & Kittler 2003).
@@ -165,7 +165,7 @@ def _search(model: RobustModel, threshold: float, score: Score) -> Search:
 
 
 def iterations_needed(inlier_share: float, sample_size: int, confidence: float) -> int:
-    """Return how many samples give one free of outliers with the wanted probability (notes 7.5; HZ equation 4.18).
+    """Return how many samples give one free of outliers with the wanted probability (IU 7.5; HZ equation 4.18).
 
     K = log(1 - p) / log(1 - r^m), r `inlier_share`, m `sample_size`, p `confidence`; 1 when all points are inliers,
     and 2^62 when none is.

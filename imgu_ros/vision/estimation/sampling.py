@@ -32,7 +32,7 @@ def draw_samples(
     Parameters
     ----------
     sampler : uniform, or prosac: the points are sorted best first, and samples come from a slowly growing
-        set of the best (Chum & Matas 2005, equations 3 to 5; notes 7.6)
+        set of the best (Chum & Matas 2005, equations 3 to 5; IU 7.6)
     count : number of points N
     sample_size : points in a sample m
     rng : source of the draws, or its seed

@@ -28,7 +28,7 @@ speed; `edge_aware` 30.4 and 32.4; `malvar` 36.0 and 34.1, colour at video rate;
 `raw.band_mode`, `raw.band_weights`, `raw.reference_spectrum`. **Simulated** by `imgu simulate --bits --full-well
 --read-noise --black-level --exposure-ms --row-time-us --defocus-px --f-number --focus-m --ev`.
 
-Sources: notes 1.1 to 1.3; Szeliski 2022, 2.2 and 2.3; EMVA Standard 1288; Kruse et al. 1993 (spectral angle).
+Sources: IU 1.1 to 1.3; Szeliski 2022, 2.2 and 2.3; EMVA Standard 1288; Kruse et al. 1993 (spectral angle).
 """
 
 from imgu_ros.vision.formation.bands import (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of many spectral bands: one grey image out of them, and the spectral angle (notes 1.2.4-1.2.5)."""
+"""Pictures of many spectral bands: one grey image out of them, and the spectral angle (IU 1.2.4-1.2.5)."""
 
 from __future__ import annotations
 

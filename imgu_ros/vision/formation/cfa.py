@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bayer colour filter arrays: which colour a sensor site measures (notes 1.2.2; Bayer, US patent 3971065)."""
+"""Bayer colour filter arrays: which colour a sensor site measures (IU 1.2.2; Bayer, US patent 3971065)."""
 
 from __future__ import annotations
 

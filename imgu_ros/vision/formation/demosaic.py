@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Demosaicking: a colour at every site of a Bayer mosaic (notes 1.2.3)."""
+"""Demosaicking: a colour at every site of a Bayer mosaic (IU 1.2.3)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Black level, white level and gains of raw data; the step to 8 bits (notes 1.1.6, 1.2.4)."""
+"""Black level, white level and gains of raw data; the step to 8 bits (IU 1.1.6, 1.2.4)."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def with_levels(
 def stretched_to_8_bit(grey: Image, black: float, white: float | None) -> Image:
     """Bring a grey image to uint8.
 
-    With percentiles it is the automatic gain of infrared cameras (notes 1.2.4): a linear stretch between the 0.2 % and
+    With percentiles it is the automatic gain of infrared cameras (IU 1.2.4): a linear stretch between the 0.2 % and
     99.8 % quantiles of the picture, so that a few hot or dead pixels do not set the range (histogram clipping;
     Gonzalez & Woods 2018, 3.2). Large pictures are sampled on a grid of some 65 000 pixels.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A thin lens: focus, circle of confusion, depth of field (notes 1.1.3-1.1.4; Szeliski 2022, 2.2.3)."""
+"""A thin lens: focus, circle of confusion, depth of field (IU 1.1.3-1.1.4; Szeliski 2022, 2.2.3)."""
 
 from __future__ import annotations
 

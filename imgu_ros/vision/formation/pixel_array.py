@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor's pixels: size, aspect ratio, pitch, and the focal length in pixels (notes 1.1.6)."""
+"""The sensor's pixels: size, aspect ratio, pitch, and the focal length in pixels (IU 1.1.6)."""
 
 from __future__ import annotations
 

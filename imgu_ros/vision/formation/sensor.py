@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From light to digital numbers: shot noise, read noise, quantisation (notes 1.1.6; EMVA Standard 1288, section 2)."""
+"""From light to digital numbers: shot noise, read noise, quantisation (IU 1.1.6; EMVA Standard 1288, section 2)."""
 
 from __future__ import annotations
 

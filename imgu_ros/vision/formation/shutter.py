@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shutter: exposure, motion blur, rolling rows (notes 1.1.5-1.1.6; Szeliski 2022, 2.3)."""
+"""The shutter: exposure, motion blur, rolling rows (IU 1.1.5-1.1.6; Szeliski 2022, 2.3)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Difference-of-Gaussians extrema, SIFT's detector (notes 4.2.4; Lowe 2004, sections 3 to 5)."""
+"""Difference-of-Gaussians extrema, SIFT's detector (IU 4.2.4; Lowe 2004, sections 3 to 5)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Orientations from the histogram of gradient directions about a keypoint (notes 4.2.4; Lowe 2004, section 5)."""
+"""Orientations from the histogram of gradient directions about a keypoint (IU 4.2.4; Lowe 2004, section 5)."""
 
 from __future__ import annotations
 

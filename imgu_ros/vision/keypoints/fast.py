@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""FAST: corners by 9 to 12 contiguous of 16 ring pixels (notes 4.2.3; Rosten & Drummond 2006)."""
+"""FAST: corners by 9 to 12 contiguous of 16 ring pixels (IU 4.2.3; Rosten & Drummond 2006)."""
 
 from __future__ import annotations
 

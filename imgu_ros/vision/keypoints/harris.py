@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Harris corners (notes 4.2.1; Harris & Stephens 1988)."""
+"""Harris corners (IU 4.2.1; Harris & Stephens 1988)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Moravec corners: patches unlike each of their eight neighbours (notes 4.2.2; Moravec 1980)."""
+"""Moravec corners: patches unlike each of their eight neighbours (IU 4.2.2; Moravec 1980)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maximally stable extremal regions (notes 4.3.1; Matas 2002; Nister & Stewenius 2008)."""
+"""Maximally stable extremal regions (IU 4.3.1; Matas 2002; Nister & Stewenius 2008)."""
 
 from __future__ import annotations
 

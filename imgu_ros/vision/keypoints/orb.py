@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ORB corners: FAST ranked by Harris, oriented by the intensity centroid (notes 5.5; Rublee 2011)."""
+"""ORB corners: FAST ranked by Harris, oriented by the intensity centroid (IU 5.5; Rublee 2011)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Orientation of a patch by its intensity centroid (notes 5.5; Rosin 1999; Rublee 2011, section 3.2)."""
+"""Orientation of a patch by its intensity centroid (IU 5.5; Rosin 1999; Rublee 2011, section 3.2)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many keypoints are found again in another view (notes 4.1)."""
+"""How many keypoints are found again in another view (IU 4.1)."""
 
 from __future__ import annotations
 

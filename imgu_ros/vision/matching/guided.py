@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matching guided by a homography, to convergence (notes 7.5; Hartley & Zisserman 2004, algorithm 4.6, step v)."""
+"""Matching guided by a homography, to convergence (IU 7.5; Hartley & Zisserman 2004, algorithm 4.6, step v)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hamming distances between all rows of two sets, by one product of matrices (notes 5.4.2)."""
+"""Hamming distances between all rows of two sets, by one product of matrices (IU 5.4.2)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Hamming distance of binary descriptors (notes 5.4.2)."""
+"""The Hamming distance of binary descriptors (IU 5.4.2)."""
 
 from __future__ import annotations
 

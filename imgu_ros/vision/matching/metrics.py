@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distances between descriptors, and which of them make sense for which descriptor (notes 5.1, 5.3, 5.4.2)."""
+"""Distances between descriptors, and which of them make sense for which descriptor (IU 5.1, 5.3, 5.4.2)."""
 
 from __future__ import annotations
 

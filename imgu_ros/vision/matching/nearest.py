@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nearest neighbours among descriptors: ratio test and mutual check (notes 5.3; Lowe 2004, section 7.1)."""
+"""Nearest neighbours among descriptors: ratio test and mutual check (IU 5.3; Lowe 2004, section 7.1)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def match(
     src, dst : (N, D) and (M, D), uint8 (bits) or float32; see `checked_rows` for others
     metric : see `Metric`
     ratio : > 0; keep a match when its distance is below `ratio` times that of the second nearest; 1 keeps all.
-        (The notes, 5.3.2, have the sign the other way round.)
+        (IU 5.3.2 have the sign the other way round.)
     mutual : keep a match only when its `src` row is also the nearest to its `dst` row
     dst_xy : (M, 2) px where the rows of `dst` lie. With it, the second nearest is the nearest *at another place*:
         one corner described at neighbouring scales does not rival itself.

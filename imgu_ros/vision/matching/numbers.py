@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distances between all rows of two sets of numbers, by one product of matrices (notes 5.1, 5.3.1, 5.3.3)."""
+"""Distances between all rows of two sets of numbers, by one product of matrices (IU 5.1, 5.3.1, 5.3.3)."""
 
 from __future__ import annotations
 

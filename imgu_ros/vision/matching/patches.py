@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparing two image patches (notes 5.1.1 to 5.1.3)."""
+"""Comparing two image patches (IU 5.1.1 to 5.1.3)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imgu_ros.types import Floats
 
 
 def ssd(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the sum of squared differences of two patches, sum (a - b)^2 (notes 5.1.1).
+    """Return the sum of squared differences of two patches, sum (a - b)^2 (IU 5.1.1).
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def ssd(a: ArrayLike, b: ArrayLike) -> float:
 def zmssd(a: ArrayLike, b: ArrayLike) -> float:
     """Return the zero-mean sum of squared differences of two patches: that of the patches less their means.
 
-    An offset of the brightness changes nothing (notes 5.1.2). The patches `a` and `b`, and errors, as `ssd`.
+    An offset of the brightness changes nothing (IU 5.1.2). The patches `a` and `b`, and errors, as `ssd`.
 
     Examples
     --------
@@ -48,7 +48,7 @@ def zmssd(a: ArrayLike, b: ArrayLike) -> float:
 def ncc(a: ArrayLike, b: ArrayLike) -> float:
     """Return the normalised cross-correlation of two patches, from -1 to 1; 1: equal up to offset and gain.
 
-    With the sigmas of the notes, which divide by N - 1, their sum (5.1.3) lies between -(N - 1) and N - 1; here it is
+    With standard deviations that divide by N - 1, as in IU 5.1.3, the sum lies between -(N - 1) and N - 1; here it is
     divided by N - 1 too. The patches `a` and `b` are as for `ssd`.
 
     Raises

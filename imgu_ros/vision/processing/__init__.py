@@ -29,7 +29,7 @@ the edges there: one bit a pixel leaves descriptors too little, and a simulated 
 **On files** `imgu filter` does convolution, smoothing, gradients and edges, Canny's too; `imgu warp` resizes, rotates
 and maps; `imgu match --warp` draws a found target straight on.
 
-Sources: notes 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
+Sources: IU 2.1 to 2.3; Otsu 1979; Canny 1986; Scharr 2000; Zuiderveld 1994 (CLAHE); Keys 1981 (cubic).
 """
 
 from imgu_ros.vision.processing.borders import Border, border_values, padded, source_index

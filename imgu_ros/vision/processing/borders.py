@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands outside a picture (notes 2.2.2)."""
+"""What stands outside a picture (IU 2.2.2)."""
 
 from __future__ import annotations
 

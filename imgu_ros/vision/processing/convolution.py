@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convolution with any kernel and any border (notes 2.2.1 to 2.2.4)."""
+"""Convolution with any kernel and any border (IU 2.2.1 to 2.2.4)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def convolve(image: Image, kernel: ArrayLike, border: Border | str = Border.REFL
 
     Notes
     -----
-    Source: notes 2.2.1 to 2.2.3. Time is O(H W h w), or O(H W rank (h + w)) where the kernel is split.
+    Source: IU 2.2.1 to 2.2.3. Time is O(H W h w), or O(H W rank (h + w)) where the kernel is split.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def convolve_separable(
 
     Notes
     -----
-    Source: notes 2.2.3.
+    Source: IU 2.2.3.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def mean_filtered(image: Image, size: int, border: Border | str = Border.REFLECT
 
     Notes
     -----
-    Source: notes 2.2.1. By running sums: the time does not depend on `size`.
+    Source: IU 2.2.1. By running sums: the time does not depend on `size`.
 
     Examples
     --------

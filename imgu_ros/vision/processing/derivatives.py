@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image derivatives (notes 2.2.5, 2.2.6)."""
+"""Image derivatives (IU 2.2.5, 2.2.6)."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def gradient(
 
     Notes
     -----
-    Source: notes 2.2.5, whose kernels lack the factor 1/8; Scharr 2000, section 9.
+    Source: IU 2.2.5, whose kernels lack the factor 1/8; Scharr 2000, section 9.
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edges: strength, threshold, Canny (notes 2.2.6; Canny 1986)."""
+"""Edges: strength, threshold, Canny (IU 2.2.6; Canny 1986)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def edge_strength(
 
     Notes
     -----
-    Source: notes 2.2.6.
+    Source: IU 2.2.6.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def edge_map(image: Image, threshold: float, operator: Derivative | str = Deriva
 
     Notes
     -----
-    Source: notes 2.2.6.
+    Source: IU 2.2.6.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def canny(image: Image, low: float, high: float, sigma: float = 1.0) -> Mask:
 
     Notes
     -----
-    Source: Canny 1986; notes 2.2.6. Smoothed in floats, so that weak slopes are not lost in rounding; slopes by Sobel,
+    Source: Canny 1986; IU 2.2.6. Smoothed in floats, so that weak slopes are not lost in rounding; slopes by Sobel,
     rounded to 1/46340 of the range.
 
     Examples

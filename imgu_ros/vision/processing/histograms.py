@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Histograms, and what equalises them (notes 2.1.4; Zuiderveld 1994)."""
+"""Histograms, and what equalises them (IU 2.1.4; Zuiderveld 1994)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def histogram(image: Image, bins: int = 256) -> NDArray[np.int64]:
 
     Notes
     -----
-    Source: notes 2.1.4.
+    Source: IU 2.1.4.
 
     Examples
     --------

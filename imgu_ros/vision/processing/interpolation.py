@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values between pixels, and resizing (notes 2.3.1, 2.3.2; Keys 1981)."""
+"""Values between pixels, and resizing (IU 2.3.1, 2.3.2; Keys 1981)."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def resized(image: Image, size: Sequence[int], interpolation: Interpolation | st
 
     Notes
     -----
-    Source: notes 2.3.1, 2.3.2. Nearest takes the pixel that holds the new pixel's centre.
+    Source: IU 2.3.1, 2.3.2. Nearest takes the pixel that holds the new pixel's centre.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def sampled(
 
     Notes
     -----
-    Source: notes 2.3.2; Keys 1981 with a = -0.5: exact on polynomials of degree 2 (OpenCV's warps have a = -0.75).
+    Source: IU 2.3.2; Keys 1981 with a = -0.5: exact on polynomials of degree 2 (OpenCV's warps have a = -0.75).
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations on single pixels (notes 2.1.1, 2.1.2)."""
+"""Operations on single pixels (IU 2.1.1, 2.1.2)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from imgu_ros.arguments import as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, as_image, as_matrix, require_unit_range
 
-#: Weights of red, green and blue in brightness (ITU-R BT.601; notes 2.1.2).
+#: Weights of red, green and blue in brightness (ITU-R BT.601; IU 2.1.2).
 REC601 = (0.299, 0.587, 0.114)
 
 _LARGEST_GAIN = 1e6
@@ -40,7 +40,7 @@ def adjust(image: Image, contrast: float = 1.0, brightness: float = 0.0) -> Imag
 
     Notes
     -----
-    Source: notes 2.1.1. 255 + 1 stays 255: arithmetic modulo 256 would make it 0.
+    Source: IU 2.1.1. 255 + 1 stays 255: arithmetic modulo 256 would make it 0.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def grey_from_rgb(image: Image, weights: ArrayLike = REC601) -> Image:
 
     Notes
     -----
-    Source: notes 2.1.2.
+    Source: IU 2.1.2.
 
     Examples
     --------

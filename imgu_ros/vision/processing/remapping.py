@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warps by any map: where each pixel of the result comes from, point by point (notes 2.3.5)."""
+"""Warps by any map: where each pixel of the result comes from, point by point (IU 2.3.5)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def remapped(
 
     Notes
     -----
-    Source: notes 2.3.5. OpenCV before version 5 rounds the place to 1/32 px. `warping.warped` needs no map when it is a
+    Source: IU 2.3.5. OpenCV before version 5 rounds the place to 1/32 px. `warping.warped` needs no map when it is a
     homography; `interpolation.sampled` is exact at single points.
 
     Examples

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splitting a kernel into rows and columns (notes 2.2.3)."""
+"""Splitting a kernel into rows and columns (IU 2.2.3)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def split(kernel: ArrayLike, tolerance: float = _TOLERANCE) -> SplitKernel:
 
     Notes
     -----
-    Source: notes 2.2.3; the best approximation of each rank by Eckart & Young 1936.
+    Source: IU 2.2.3; the best approximation of each rank by Eckart & Young 1936.
 
     Examples
     --------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Black and white by a threshold (notes 2.1.3; Otsu 1979)."""
+"""Black and white by a threshold (IU 2.1.3; Otsu 1979)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def thresholded(image: Image, value: float) -> Image:
 
     Notes
     -----
-    Source: notes 2.1.3.
+    Source: IU 2.1.3.
 
     Examples
     --------

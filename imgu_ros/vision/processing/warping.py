@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometric warps of images (notes 2.3.3 to 2.3.5, 6.4)."""
+"""Geometric warps of images (IU 2.3.3 to 2.3.5, 6.4)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def warped(
 
     Notes
     -----
-    Source: notes 2.3.5, 6.4. Every pixel of the result is looked up by the inverse of H, so that none stays empty.
+    Source: IU 2.3.5, 6.4. Every pixel of the result is looked up by the inverse of H, so that none stays empty.
     OpenCV before version 5 rounds the place to 1/32 px, and the cubic's in every version: up to 1/64 px off.
     `interpolation.sampled` is exact at single points.
 
@@ -126,7 +126,7 @@ def rotated(
 
     Notes
     -----
-    Source: notes 2.3.3, whose matrix is this one for -angle.
+    Source: IU 2.3.3, whose matrix is this one for -angle.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def rotation_about(angle: float, centre: ArrayLike, scale: float = 1.0) -> Matri
 
     Notes
     -----
-    Source: notes 2.3.3, 2.3.4: x' = s R (x - c) + c.
+    Source: IU 2.3.3, 2.3.4: x' = s R (x - c) + c.
 
     Examples
     --------
@@ -204,7 +204,7 @@ def whole_picture(H: ArrayLike, size: Sequence[int]) -> Canvas:
 
     Notes
     -----
-    Source: notes 2.3.3 ("rotated image with all parts"), with corners of pixels, not centres.
+    Source: IU 2.3.3 ("rotated image with all parts"), with corners of pixels, not centres.
 
     Examples
     --------

@@ -29,7 +29,7 @@ since h33 may vanish. Degenerate input (singular, coincident, collinear) raises 
 **In the chain** the parameters `homography.*` reach the estimation: `sampler`, `threshold_px`, `confidence`,
 `max_iterations`, `error`, `refine`. Lines, cross ratio, hierarchy and decompositions are library alone.
 
-Sources: notes 6.1 to 6.5, 7.2, 7.3; Hartley & Zisserman 2004 ("HZ"), chapters 2 and 4.
+Sources: IU 6.1 to 6.5, 7.2, 7.3; Hartley & Zisserman 2004 ("HZ"), chapters 2 and 4.
 """  # noqa: E501
 
 from imgu_ros.vision.projective.checks import Pairs, checked_pairs, finite

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cross ratio of four points on a line, and of four lines through a point (notes 6.4.5; HZ section 2.5)."""
+"""The cross ratio of four points on a line, and of four lines through a point (IU 6.4.5; HZ section 2.5)."""
 
 from __future__ import annotations
 

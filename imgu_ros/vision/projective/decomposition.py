@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Taking homographies and affine maps apart into simpler ones (notes 6.4.5; HZ section 2.4)."""
+"""Taking homographies and affine maps apart into simpler ones (IU 6.4.5; HZ section 2.4)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The direct linear transformation: a homography from points (notes 6.5, 7.2; HZ section 4.1, algorithm 4.2)."""
+"""The direct linear transformation: a homography from points (IU 6.5, 7.2; HZ section 4.1, algorithm 4.2)."""
 
 from __future__ import annotations
 

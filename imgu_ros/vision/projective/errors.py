@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far corresponding points are from agreeing with a homography, by each measure (notes 7.3.1; HZ section 4.2).
+"""How far corresponding points are from agreeing with a homography, by each measure (IU 7.3.1; HZ section 4.2).
 
 All but the algebraic one are geometric: squared distances in pictures, unchanged when either picture is moved or
 turned. Each function returns one number for each correspondence, which sum to the cost that a fit minimises.

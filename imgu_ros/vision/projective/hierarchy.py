@@ -15,7 +15,7 @@ from imgu_ros.vision.projective.transformations import require_regular
 
 
 class Transformation(Choice):
-    """Classes of plane transformations, special before general (notes 6.2, 6.4; HZ section 2.4)."""
+    """Classes of plane transformations, special before general (IU 6.2, 6.4; HZ section 2.4)."""
 
     IDENTITY = "identity"
     TRANSLATION = "translation"
@@ -30,7 +30,7 @@ class Transformation(Choice):
 
     @property
     def invariants(self) -> frozenset[Invariant]:
-        """What every transformation of the class leaves as it is (notes 6.1.1 to 6.4.5; HZ table 2.1)."""
+        """What every transformation of the class leaves as it is (IU 6.1.1 to 6.4.5; HZ table 2.1)."""
         return _INVARIANTS[self]
 
 

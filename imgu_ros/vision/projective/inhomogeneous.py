@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A homography with h33 = 1 by linear least squares, weighted with a covariance of the noise (notes 6.5, 7.2)."""
+"""A homography with h33 = 1 by linear least squares, weighted with a covariance of the noise (IU 6.5, 7.2)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SETTLED = 1e-12
 def homography_inhomogeneous(src: ArrayLike, dst: ArrayLike, covariance: ArrayLike | None = None) -> Matrix3:
     """Return H with dst ~ H src from the eight unknowns that h33 = 1 leaves, by (weighted) linear least squares.
 
-    Solves (A^T W A) h = A^T W b of the notes, of normalised points, so that it is the picture of src's centroid that
+    Solves (A^T W A) h = A^T W b of IU 7.2, of normalised points, so that it is the picture of src's centroid that
     must not be at infinity. An equation's error is that of dst times its depth w; the weights follow w, in a few
     rounds, so that the answer is the weighted least-squares one of the distances in dst.
 

@@ -62,7 +62,7 @@ class Motion:
 class PlaneMotion:
     """Fits motions to displacements of a fixed set of points.
 
-    To first order a homography I + D moves x by a linear function of D (notes 6.5): eight numbers, or six for an
+    To first order a homography I + D moves x by a linear function of D (IU 6.5): eight numbers, or six for an
     affine map.
 
     Parameters

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Homogeneous points and lines of the plane: join, meet, infinity, distance (notes 6.3, 6.4.4; HZ section 2.2).
+"""Homogeneous points and lines of the plane: join, meet, infinity, distance (IU 6.3, 6.4.4; HZ section 2.2).
 
 Points are rows (x, y, w), lines rows (a, b, c) with a x + b y + c w = 0. By duality each function of points has a
 counterpart of lines that is the same computation. What is returned is scaled, so that equal points and equal lines are
@@ -25,7 +25,7 @@ _ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
 def join(points: ArrayLike, others: ArrayLike) -> Floats:
-    """Return the line through each point and its partner: l = x1 x x2 (notes 6.3.4).
+    """Return the line through each point and its partner: l = x1 x x2 (IU 6.3.4).
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def join(points: ArrayLike, others: ArrayLike) -> Floats:
 
 
 def meet(lines: ArrayLike, others: ArrayLike) -> Floats:
-    """Return the point on each line and its partner: x = l1 x l2, the dual of `join` (notes 6.3.4).
+    """Return the point on each line and its partner: x = l1 x l2, the dual of `join` (IU 6.3.4).
 
     Parameters
     ----------
@@ -73,13 +73,13 @@ def meet(lines: ArrayLike, others: ArrayLike) -> Floats:
 
 
 def homogeneous(points: ArrayLike) -> Floats:
-    """Return Cartesian points (N, 2) as (x, y, 1), (N, 3) (notes 6.3.1)."""
+    """Return Cartesian points (N, 2) as (x, y, 1), (N, 3) (IU 6.3.1)."""
     points = as_points(points)
     return np.column_stack((points, np.ones(len(points))))
 
 
 def cartesian(points: ArrayLike) -> Points:
-    """Return homogeneous points (N, 3) as (x / w, y / w), (N, 2) (notes 6.3.1).
+    """Return homogeneous points (N, 3) as (x / w, y / w), (N, 2) (IU 6.3.1).
 
     Raises
     ------
@@ -95,7 +95,7 @@ def cartesian(points: ArrayLike) -> Points:
 
 
 def points_at_infinity(directions: ArrayLike) -> Floats:
-    """Return where lines of these directions (N, 2) meet, (N, 3) with w = 0 (notes 6.3.5).
+    """Return where lines of these directions (N, 2) meet, (N, 3) with w = 0 (IU 6.3.5).
 
     Raises
     ------
@@ -142,7 +142,7 @@ def normalised_lines(lines: ArrayLike) -> Floats:
 
 
 def transform_points(H: ArrayLike, points: ArrayLike) -> Floats:
-    """Map homogeneous points, (N, 3), those at infinity as well: x' = H x (notes 6.3.6 to 6.3.8, 6.4.5).
+    """Map homogeneous points, (N, 3), those at infinity as well: x' = H x (IU 6.3.6 to 6.3.8, 6.4.5).
 
     Raises
     ------
@@ -163,7 +163,7 @@ def transform_points(H: ArrayLike, points: ArrayLike) -> Floats:
 
 
 def transform_lines(H: ArrayLike, lines: ArrayLike) -> Floats:
-    """Map lines, (N, 3), as H maps their points: l' = H^-T l (notes 6.4.4, HZ 2.6).
+    """Map lines, (N, 3), as H maps their points: l' = H^-T l (IU 6.4.4, HZ 2.6).
 
     Raises
     ------

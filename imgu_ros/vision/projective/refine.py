@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Homographies by minimised geometric error, as problems for `minimise` (notes 7.3.1; HZ sections 4.2, 4.3)."""
+"""Homographies by minimised geometric error, as problems for `minimise` (IU 7.3.1; HZ sections 4.2, 4.3)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reprojection error of a homography: the gold standard (notes 7.3.1; HZ section 4.2.4, algorithm 4.3).
+"""The reprojection error of a homography: the gold standard (IU 7.3.1; HZ section 4.2.4, algorithm 4.3).
 
 Each correspondence is corrected to the nearest pair of points that H maps exactly onto each other; the error is how
 far both had to move. H and all corrected points are estimated together. At any H each pair can be corrected on its

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Applying homographies to points (notes 6.3, 6.4.5)."""
+"""Applying homographies to points (IU 6.3, 6.4.5)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Building, composing and inverting the transformations of the plane (notes 6.2, 6.4; HZ section 2.4)."""
+"""Building, composing and inverting the transformations of the plane (IU 6.2, 6.4; HZ section 2.4)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RANK_TOLERANCE = 1e-12
 
 
 def translation(t: ArrayLike) -> Matrix3:
-    """Return the translation by t = (x, y) (notes 6.2.1).
+    """Return the translation by t = (x, y) (IU 6.2.1).
 
     Examples
     --------
@@ -29,7 +29,7 @@ def translation(t: ArrayLike) -> Matrix3:
 
 
 def rotation(angle_rad: float, about: ArrayLike = (0.0, 0.0)) -> Matrix3:
-    """Return the rotation by `angle_rad` about a point (notes 6.2.2).
+    """Return the rotation by `angle_rad` about a point (IU 6.2.2).
 
     A positive angle turns x towards y: counter-clockwise with y up as in the notes, clockwise as seen in an image,
     whose y points down.
@@ -46,12 +46,12 @@ def rotation(angle_rad: float, about: ArrayLike = (0.0, 0.0)) -> Matrix3:
 
 
 def euclidean(angle_rad: float, t: ArrayLike) -> Matrix3:
-    """Return x -> R x + t: first the rotation by `angle_rad` about the origin, then the translation (notes 6.2.3)."""
+    """Return x -> R x + t: first the rotation by `angle_rad` about the origin, then the translation (IU 6.2.3)."""
     return similarity(1.0, angle_rad, t)
 
 
 def similarity(scale: float, angle_rad: float, t: ArrayLike) -> Matrix3:
-    """Return x -> scale R x + t, scale > 0, R the rotation by `angle_rad` (notes 6.2.5, HZ 2.8)."""
+    """Return x -> scale R x + t, scale > 0, R the rotation by `angle_rad` (IU 6.2.5, HZ 2.8)."""
     scale, angle = _number(scale, "scale"), _number(angle_rad, "angle_rad")
     if scale <= 0:
         raise ShapeError(f"scale: {scale}; need more than 0")
@@ -60,7 +60,7 @@ def similarity(scale: float, angle_rad: float, t: ArrayLike) -> Matrix3:
 
 
 def scaling(x: float, y: float | None = None) -> Matrix3:
-    """Return the scaling about the origin by a factor along each axis; y None: as x (notes 6.2.4, 6.4.1).
+    """Return the scaling about the origin by a factor along each axis; y None: as x (IU 6.2.4, 6.4.1).
 
     Examples
     --------
@@ -71,17 +71,17 @@ def scaling(x: float, y: float | None = None) -> Matrix3:
 
 
 def shear_x(factor: float) -> Matrix3:
-    """Return (x, y) -> (x + factor y, y) (notes 6.4.2)."""
+    """Return (x, y) -> (x + factor y, y) (IU 6.4.2)."""
     return affine([[1.0, _number(factor, "factor")], [0.0, 1.0]], (0.0, 0.0))
 
 
 def shear_y(factor: float) -> Matrix3:
-    """Return (x, y) -> (x, y + factor x) (notes 6.4.2)."""
+    """Return (x, y) -> (x, y + factor x) (IU 6.4.2)."""
     return affine([[1.0, 0.0], [_number(factor, "factor"), 1.0]], (0.0, 0.0))
 
 
 def affine(A: ArrayLike, t: ArrayLike) -> Matrix3:
-    """Return x -> A x + t for a regular (2, 2) matrix A and t = (x, y) (notes 6.4.3, HZ 2.9).
+    """Return x -> A x + t for a regular (2, 2) matrix A and t = (x, y) (IU 6.4.3, HZ 2.9).
 
     Raises
     ------
@@ -96,7 +96,7 @@ def affine(A: ArrayLike, t: ArrayLike) -> Matrix3:
 
 
 def projective(A: ArrayLike, t: ArrayLike, v: ArrayLike) -> Matrix3:
-    """Return [[A, t], [v, 1]] at unit Frobenius norm, det > 0 (notes 6.4.5, HZ 2.15).
+    """Return [[A, t], [v, 1]] at unit Frobenius norm, det > 0 (IU 6.4.5, HZ 2.15).
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def inverse(H: ArrayLike) -> Matrix3:
 
 
 def cofactors(H: ArrayLike) -> Matrix3:
-    """Return the matrix of cofactors, proportional to H^-T: how lines go when points go by H (notes 6.4.4).
+    """Return the matrix of cofactors, proportional to H^-T: how lines go when points go by H (IU 6.4.4).
 
     Largest element between 1/2 and 6 in size; of a matrix of rank 1 it is zero.
     """

@@ -21,7 +21,7 @@ The kernels, and which to take:
 **In the chain**: `pyramid.kind` (`coarse`, `fine`, `laplacian`), `pyramid.kernel` (`sampled`, `discrete`, `recursive`),
 `pyramid.levels`, `pyramid.scales_per_octave`, `pyramid.max_side_px`; `preprocess.smoothing_px` smooths beforehand.
 
-Sources: notes 3.1 to 3.3; Burt & Adelson 1983; Lindeberg 1990, 1994; Deriche 1993; Farneback & Westin 2006.
+Sources: IU 3.1 to 3.3; Burt & Adelson 1983; Lindeberg 1990, 1994; Deriche 1993; Farneback & Westin 2006.
 """
 
 import imgu_ros.vision.processing  # noqa: F401  (its edges smooth with this room: it has to come first)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussian smoothing (notes 2.2.4, 3.3.1, 3.3.2)."""
+"""Gaussian smoothing (IU 2.2.4, 3.3.1, 3.3.2)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MAX_SIGMA_PX = 1000
 class GaussianKernel(Choice):
     """Discrete approximations of the Gaussian."""
 
-    SAMPLED = "sampled"  #: the Gaussian's values at the pixels, normalised to sum 1 (notes 3.3.1)
+    SAMPLED = "sampled"  #: the Gaussian's values at the pixels, normalised to sum 1 (IU 3.3.1)
     DISCRETE = "discrete"  #: T(n, t) = exp(-t) I_n(t): exact scale space at any sigma (Lindeberg 1990)
     RECURSIVE = "recursive"  #: infinite response at a time that does not depend on sigma (Deriche 1993)
 
@@ -60,7 +60,7 @@ def smooth(
 
     Notes
     -----
-    Source: notes 2.2.4, 3.3.1, 3.3.2.
+    Source: IU 2.2.4, 3.3.1, 3.3.2.
 
     Examples
     --------

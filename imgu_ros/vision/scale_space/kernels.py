@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One-dimensional Gaussian kernels: sampled and discrete (notes 3.3.1, 3.3.2; Lindeberg 1990)."""
+"""One-dimensional Gaussian kernels: sampled and discrete (IU 3.3.1, 3.3.2; Lindeberg 1990)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def sampled_gaussian(sigma: float, reach: int | None = None) -> Floats:
 
     Notes
     -----
-    Source: notes 3.3.1. Its variance is sigma^2 to 1e-4 from sigma 0.8 on, and falls short below.
+    Source: IU 3.3.1. Its variance is sigma^2 to 1e-4 from sigma 0.8 on, and falls short below.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def discrete_gaussian(sigma: float, reach: int | None = None) -> Floats:
 
     Notes
     -----
-    Source: Lindeberg 1990, "Scale-space for discrete signals", equation 21; notes 3.3.2. I_n is the modified Bessel
+    Source: Lindeberg 1990, "Scale-space for discrete signals", equation 21; IU 3.3.2. I_n is the modified Bessel
     function of the first kind.
 
     Examples

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Laplacian pyramid: what each octave adds, and the picture from it (notes 3.2.3; Burt & Adelson 1983)."""
+"""The Laplacian pyramid: what each octave adds, and the picture from it (IU 3.2.3; Burt & Adelson 1983)."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def laplacian_pyramid(
 
     Notes
     -----
-    Source: notes 3.2.3; Burt & Adelson 1983. Each difference is taken from what `reconstructed` will have there, not
+    Source: IU 3.2.3; Burt & Adelson 1983. Each difference is taken from what `reconstructed` will have there, not
     from the level itself: roundings do not add up from level to level.
 
     Examples
@@ -102,7 +102,7 @@ def reconstructed(pyramid: LaplacianPyramid) -> Image:
 
     Notes
     -----
-    Source: notes 3.2.3; Burt & Adelson 1983.
+    Source: IU 3.2.3; Burt & Adelson 1983.
     """
     require_type(pyramid, LaplacianPyramid, "pyramid")
     picture = as_image(pyramid.base, "base", channels=(1, 3))

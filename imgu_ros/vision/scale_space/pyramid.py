@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussian pyramids with coarse and with fine scales, and their bands (notes 3.1, 3.2; Burt & Adelson 1983)."""
+"""Gaussian pyramids with coarse and with fine scales, and their bands (IU 3.1, 3.2; Burt & Adelson 1983)."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def build_pyramid(
     """Build a Gaussian pyramid.
 
     Each level has the same blur in its own pixels as the image is taken to have in its own
-    (sigma_t^2 = sigma_c^2 + sigma_f^2, notes 3.1.2), counting the blur that resampling adds.
+    (sigma_t^2 = sigma_c^2 + sigma_f^2, IU 3.1.2), counting the blur that resampling adds.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def band_passed(pyramid: Pyramid) -> Pyramid:
 
     Notes
     -----
-    Source: notes 3.2.3; Burt & Adelson 1983.
+    Source: IU 3.2.3; Burt & Adelson 1983.
 
     Examples
     --------
@@ -240,7 +240,7 @@ def reduced(image: Image, factor: float = 2.0, kernel: GaussianKernel | str = Ga
 
     Notes
     -----
-    Source: notes 3.1.2, 3.2.1.
+    Source: IU 3.1.2, 3.2.1.
 
     Examples
     --------

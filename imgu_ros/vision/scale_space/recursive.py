@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recursive Gaussian: an infinite impulse response at a cost that does not depend on sigma (notes 3.3.2).
+"""The recursive Gaussian: an infinite impulse response at a cost that does not depend on sigma (IU 3.3.2).
 
 Deriche's filter of fourth order. Its response on each side is a sum of two damped oscillations,
 
@@ -66,7 +66,7 @@ def smooth_recursively(
 
     Notes
     -----
-    Source: Deriche 1993, "Recursively implementing the Gaussian and its derivatives"; notes 3.3.2. The scale s is set
+    Source: Deriche 1993, "Recursively implementing the Gaussian and its derivatives"; IU 3.3.2. The scale s is set
     so that the response's variance is sigma^2 exactly; the response differs from the Gaussian by at most 0.1 % of its
     peak for sigma >= 1. About 80 multiplications for each pixel and axis, whatever sigma is.
 
