@@ -8,7 +8,8 @@ runs ahead of the other by more than the hold depth:
 - Images of one frame_id leave in the order in which they came. Each frame_id is paired by itself: several cameras may
   share the topics.
 - An image's camera_info are those of its own frame_id. Where there are none (drivers that name the two differently)
-  they are those whose frame_id no image has; the first image waits before it takes them, for its own may follow.
+  they are those whose frame_id no image has had so far; the first image waits for two more before it takes them, for
+  its own may follow. A camera whose camera_info comes later than that, and whose images come later still, may lend it.
 - A camera_info with the image's stamp is its match. Of several with one stamp the last to arrive counts.
 - An image without a match waits, until its match arrives; or a camera_info with a later stamp (by a second at most:
   those of another clock tell nothing), since then its own was lost; or `hold` more images. In the last two cases it
@@ -40,7 +41,7 @@ _KEPT_INFOS = 256
 _JUMP_NS = 1_000_000_000
 #: So many frame_ids are kept apart, of images and of camera_info.
 _CAMERAS = 8
-#: A frame_id that none of so many images had is that of no camera any more.
+#: A frame_id is no camera's any more when another one has had so many images since. Endlessly many names age none.
 _FORGOTTEN = 100
 
 
@@ -94,7 +95,6 @@ class Pairing(Generic[ImageT, InfoT]):
         self.last_info_ns: int | None = None
         self._expects = expects_camera_info
         self._hold = hold
-        self._images = 0
         # By frame_id, that of the last message last.
         self._cameras: OrderedDict[str, _Camera[ImageT]] = OrderedDict()
         self._infos: OrderedDict[str, _Infos[InfoT]] = OrderedDict()
@@ -104,15 +104,15 @@ class Pairing(Generic[ImageT, InfoT]):
         if not self._expects:
             return [Pair(stamp_ns, image, None, False)]
         self.last_image_ns = stamp_ns
-        self._images += 1
         camera = self._cameras.setdefault(frame_id, _Camera(knows_its_infos=not frame_id))
+        camera.images += 1
         self._cameras.move_to_end(frame_id)
         pairs = self._forget_cameras()
         if camera.last_ns is not None and stamp_ns < camera.last_ns - _JUMP_NS:
             for infos in self._infos_of(frame_id, camera):
                 infos.forget_after(stamp_ns)
-        camera.last_ns, camera.last_image = stamp_ns, self._images
-        camera.waiting.append(_Waiting(stamp_ns, image))
+        camera.last_ns, camera.others = stamp_ns, {name: other.images for name, other in self._cameras.items()}
+        camera.waiting.append(_WaitingImage(stamp_ns, image))
         return pairs + self._completed(frame_id, camera)
 
     def add_camera_info(self, stamp_ns: int, camera_info: InfoT, frame_id: str = "") -> list[Pair[ImageT, InfoT]]:
@@ -123,9 +123,10 @@ class Pairing(Generic[ImageT, InfoT]):
         self._infos.setdefault(frame_id, _Infos()).add(stamp_ns, camera_info)
         self._infos.move_to_end(frame_id)
         if len(self._infos) > _CAMERAS:
-            # Those of a camera whose images come are the last to go.
+            # Those that images have matched are the last to go, then those of a camera whose images come.
+            lenders = {camera.lender for camera in self._cameras.values()}
             others = list(self._infos)[:-1]
-            self._infos.pop(next((name for name in others if name not in self._cameras), others[0]))
+            self._infos.pop(min(others, key=lambda name: (name in lenders, name in self._cameras)))
         pairs = []
         for name, camera in self._cameras.items():
             if name == frame_id or self._infos[frame_id] in self._infos_of(name, camera):
@@ -193,18 +194,25 @@ class Pairing(Generic[ImageT, InfoT]):
             camera.missed.append(stamp_ns)
 
     def _forget_cameras(self) -> list[Pair[ImageT, InfoT]]:
-        """Forget frame_ids that no image has any more; return what waited there."""
+        """Forget frame_ids that no image has any more, and of too many the least used; return what waited there."""
+        *others, newest = self._cameras
+        count = self._cameras[newest].images
+        gone = [name for name in others if count - self._cameras[name].others.get(newest, 0) > _FORGOTTEN]
+        if len(self._cameras) - len(gone) > _CAMERAS:
+
+            def usage(name: str) -> tuple[bool, int]:
+                return self._cameras[name].lender is not None, self._cameras[name].images
+
+            gone.append(min((name for name in others if name not in gone), key=usage))
         pairs = []
-        for name in list(self._cameras)[:-1]:
-            camera = self._cameras[name]
-            if len(self._cameras) > _CAMERAS or self._images - camera.last_image > _FORGOTTEN:
-                pairs += self._completed(name, camera, depth=0)
-                del self._cameras[name]
+        for name in gone:
+            pairs += self._completed(name, self._cameras[name], depth=0)
+            del self._cameras[name]
         return pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Waiting(Generic[ImageT]):
+class _WaitingImage(Generic[ImageT]):
     stamp_ns: int
     image: ImageT
 
@@ -218,16 +226,19 @@ class _Camera(Generic[ImageT]):
     knows_its_infos : whether it is clear which camera_info are its own
     lender : the frame_id of the camera_info that the last match had
     missed : stamps of the last images without a match
-    last_ns, last_image : stamp and number of the last image
+    last_ns : stamp of the last image
+    images : how many have come
+    others : how many had come of each frame_id when the last one came
     """
 
     knows_its_infos: bool
     lender: str | None = None
-    waiting: deque[_Waiting[ImageT]] = field(default_factory=deque)
+    waiting: deque[_WaitingImage[ImageT]] = field(default_factory=deque)
     missed: deque[int] = field(default_factory=lambda: deque(maxlen=_PATIENCE))
     misses_in_a_row: int = 0
     last_ns: int | None = None
-    last_image: int = 0
+    images: int = 0
+    others: dict[str, int] = field(default_factory=dict)
 
 
 class _Infos(Generic[InfoT]):

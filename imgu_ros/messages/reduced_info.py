@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,11 +52,23 @@ def reduced_info_from(make: MessageFactory, header: Header, info: Any, covered: 
 
     Parameters
     ----------
-    info : sensor_msgs/CameraInfo of the picture that was reduced
+    info : sensor_msgs/CameraInfo of the image that was reduced, of rclpy or of rosbags
     header, covered, size : as for `reduced_info_message`
     """
-    message = copy.deepcopy(info)
-    message.header = header_message(make, header)
+    message = make(
+        "sensor_msgs/msg/CameraInfo",
+        header=header_message(make, header),
+        height=int(info.height),
+        width=int(info.width),
+        distortion_model=str(info.distortion_model),
+        roi=make(
+            "sensor_msgs/msg/RegionOfInterest",
+            x_offset=int(info.roi.x_offset),
+            y_offset=int(info.roi.y_offset),
+            do_rectify=bool(info.roi.do_rectify),
+        ),
+        **{name: np.array(getattr(info, name), np.float64) for name in ("d", "k", "r", "p")},
+    )
     _set_reduction(message, covered, size)
     return message
 

@@ -1,25 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What /diagnostics says about a perception node: figures, and the reason when nothing comes out."""
+"""Diagnostics of the perception node: figures, and why no poses come out, in /diagnostics and in the log."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from imgu_ros.messages.diagnostics import HealthEntry, Level
 from imgu_ros.result import Result
-from imgu_ros.ros.cause import Cause, Kind
-from imgu_ros.ros.clock_cause import other_clock
-from imgu_ros.ros.input import ImageInput
+from imgu_ros.ros.causes import Cause, CauseLog, ClockWatch, Kind, other_clock
+from imgu_ros.ros.image_input import ImageInput
 from imgu_ros.ros.input_causes import camera_info_causes, header_causes, image_causes, publisher_causes
+from imgu_ros.ros.localizer_worker import LocalizerWorker
+from imgu_ros.ros.managed_node import NodeState
+from imgu_ros.ros.middleware import full_memory
 from imgu_ros.ros.reach import domain_text
-from imgu_ros.ros.worker import Worker
 
 #: A target may be out of view, and a calibration late, for so long.
 _PATIENCE_S = 1.5
+_LOOK_S = 0.5
 
 _OF_INPUT = frozenset(
     (
@@ -41,29 +44,66 @@ _OF_CAMERA = frozenset((Kind.UNCALIBRATED, Kind.UNPAIRED))
 
 
 @dataclass(frozen=True, slots=True)
-class NodeState:
-    """What the node knows about itself.
+class PerceptionState:
+    """State of the perception node.
 
     Attributes
     ----------
-    name : fully qualified
-    lifecycle : name of the state
-    paused, listened : whether it is paused, and whether anybody listens to an output
-    misfits : listeners that cannot be served, for their QoS does not fit
+    node : what every node has
+    misfits : subscribers that cannot be served because their QoS is incompatible
     stopped_clock : that the node's clock stands still; None when it runs
     frames : what keeps poses from the map or from /tf; empty when nothing does
     """
 
-    name: str
-    lifecycle: str
-    paused: bool
-    listened: bool
+    node: NodeState
     misfits: tuple[Cause, ...] = ()
     stopped_clock: Cause | None = None
     frames: str = ""
 
 
-def health(state: NodeState, found: Sequence[Cause], source: ImageInput, worker: Worker) -> list[HealthEntry]:
+class Explainer:
+    """Looks twice a second for what keeps poses from coming out, and logs each cause once.
+
+    Parameters
+    ----------
+    node : logs, and looks at the graph
+    source, worker : what is explained
+    state : returns the node's state; whether its clock stands still is found here
+    """
+
+    def __init__(
+        self, node: Node, source: ImageInput, worker: LocalizerWorker, state: Callable[[Cause | None], PerceptionState]
+    ) -> None:
+        self._node, self._source, self._worker, self._state = node, source, worker, state
+        self._log = CauseLog()
+        self._clock = ClockWatch(node)
+        # The machine's time: with use_sim_time a timer would stand still until /clock comes.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(_LOOK_S, self._look, clock=steady)
+
+    def begin(self) -> None:
+        """Log every cause again: the node was activated."""
+        self._log.clear()
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        state = self._state(self._clock.cause(now))
+        found = self._causes(state) if state.node.listened or state.misfits else _memory_causes()
+        for cause in self._log.news(found, now):
+            self._node.get_logger().warning(cause.text)
+
+    def health(self) -> list[HealthEntry]:
+        """Return the entries of /diagnostics."""
+        state = self._state(self._clock.cause(time.monotonic()))
+        return health(state, self._causes(state), self._source, self._worker)
+
+    def _causes(self, state: PerceptionState) -> list[Cause]:
+        return [*causes(state, self._node, self._source, self._worker), *_memory_causes()]
+
+
+def health(
+    state: PerceptionState, found: Sequence[Cause], source: ImageInput, worker: LocalizerWorker
+) -> list[HealthEntry]:
     """Return the entries of /diagnostics.
 
     Parameters
@@ -72,7 +112,7 @@ def health(state: NodeState, found: Sequence[Cause], source: ImageInput, worker:
     found : why no poses come out, see `causes`
     source, worker : their figures
     """
-    now, prefix = time.monotonic(), state.name
+    now, prefix = time.monotonic(), state.node.name
     return [
         _output(f"{prefix}: output", state, found, worker, now),
         _input(f"{prefix}: input", found, source, worker, now),
@@ -80,22 +120,22 @@ def health(state: NodeState, found: Sequence[Cause], source: ImageInput, worker:
     ]
 
 
-def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> list[Cause]:
+def causes(state: PerceptionState, node: Node, source: ImageInput, worker: LocalizerWorker) -> list[Cause]:
     """Return why no poses come out, the first cause on the way from the input on first; empty when they do.
 
     They look at the graph: call it a few times a second at most.
     """
     now = time.monotonic()
-    if state.lifecycle != "active":
-        return [Cause(Kind.LIFECYCLE, f"lifecycle state: {state.lifecycle}; need active")]
-    if state.paused:
+    if state.node.lifecycle != "active":
+        return [Cause(Kind.LIFECYCLE, f"lifecycle state: {state.node.lifecycle}; need active")]
+    if state.node.paused:
         return [Cause(Kind.PAUSED, "paused: call ~/pause with false to go on")]
     misfits = list(state.misfits)
-    if not state.listened:
+    if not state.node.listened:
         return misfits or [Cause(Kind.IDLE, f"idle: no subscribers in {domain_text(node)}")]
     on_the_way = list(image_causes(node, source, now))
     stopped = [] if state.stopped_clock is None else [state.stopped_clock]
-    long = worker.in_hand.long()
+    long = worker.long_frame()
     held_up = [] if long is None else [Cause(Kind.HELD_UP, long.text, case="frame")]
     if on_the_way and on_the_way[0].kind not in (Kind.LOST, Kind.HELD_UP):
         # A player that has not begun sends neither images nor time.
@@ -115,9 +155,9 @@ def causes(state: NodeState, node: Node, source: ImageInput, worker: Worker) -> 
     ]
 
 
-def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
-    if worker.rejection:
-        yield Cause(Kind.REJECTED, f"frame rejected: {worker.rejection}")
+def _of_frames(node: Node, source: ImageInput, worker: LocalizerWorker, now: float) -> Iterator[Cause]:
+    if worker.figures.rejection:
+        yield Cause(Kind.REJECTED, f"frame rejected: {worker.figures.rejection}")
         return
     if not worker.targets:
         yield Cause(Kind.NO_TARGETS, "no targets: set targets.images")
@@ -137,13 +177,13 @@ def _of_frames(node: Node, source: ImageInput, worker: Worker, now: float) -> It
         yield from camera_info_causes(node, source, now)
 
 
-def _not_seen(last: Result, source: ImageInput, worker: Worker, now: float) -> Iterator[Cause]:
-    sought = worker.sought
-    unseen_s = source.open_s(now) if sought.found_s is None else now - sought.found_s
+def _not_seen(last: Result, source: ImageInput, worker: LocalizerWorker, now: float) -> Iterator[Cause]:
+    failures = worker.failures
+    unseen_s = source.open_s(now) if failures.found_s is None else now - failures.found_s
     if min(unseen_s, source.open_s(now)) < _PATIENCE_S or worker.parameters is None:
         return
     # Of those that are looked for, the one that came nearest.
-    most = sought.most_inliers
+    most = failures.most_inliers
     name = max(most, key=lambda key: most[key], default=last.first.name)
     reason = last.references[name].reason
     yield Cause(
@@ -168,16 +208,15 @@ def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> I
         yield Cause(cause.kind, f"uncalibrated: {cause.text}; homographies, no poses")
 
 
-def _output(name: str, state: NodeState, found: Sequence[Cause], worker: Worker, now: float) -> HealthEntry:
+def _output(
+    name: str, state: PerceptionState, found: Sequence[Cause], worker: LocalizerWorker, now: float
+) -> HealthEntry:
     idle = all(cause.kind in (Kind.IDLE, Kind.PAUSED, Kind.LIFECYCLE) for cause in found)
     level = Level.OK if idle else Level.WARN
     reason = "; ".join(cause.text for cause in found)
-    latencies = worker.latency.percentiles_ms()
     values: dict[str, object] = {
-        "lifecycle_state": state.lifecycle,
-        "rate_hz": worker.done.rate_hz(now),
-        "frames": worker.done.count,
-        **dict(zip(("latency_p50_ms", "latency_p95_ms", "latency_max_ms"), latencies, strict=False)),
+        "lifecycle_state": state.node.lifecycle,
+        **worker.figures.values(now),
         "subscribers_with_incompatible_qos": len(state.misfits),
         "causes": " ".join(cause.kind for cause in found),
     }
@@ -189,7 +228,7 @@ def _output(name: str, state: NodeState, found: Sequence[Cause], worker: Worker,
     return HealthEntry(name, level, reason or "poses come out", values)
 
 
-def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker, now: float) -> HealthEntry:
+def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: LocalizerWorker, now: float) -> HealthEntry:
     counters = source.counters
     values: dict[str, object] = {
         "image_topic": source.topics.image,
@@ -197,8 +236,8 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker
         "rate_hz": source.arrivals.rate_hz(now),
         "frames": source.arrivals.count,
         "lost": counters.lost,
-        "skipped": source.slot.skipped,
-        "rejected": worker.rejected + source.unread,
+        "skipped": source.queue.skipped,
+        "rejected": worker.figures.rejected + source.unread,
         "unreadable": source.unread,
         "unknown_encodings": worker.unknown_encodings,
         "camera_info_rate_hz": source.infos.rate_hz(now),
@@ -211,7 +250,7 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Worker
     return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "images come in", values)
 
 
-def _camera(name: str, found: Sequence[Cause], worker: Worker) -> HealthEntry:
+def _camera(name: str, found: Sequence[Cause], worker: LocalizerWorker) -> HealthEntry:
     last = worker.last
     if last is None:
         return HealthEntry(name, Level.OK, "no frame yet", {})
@@ -240,3 +279,8 @@ def _camera(name: str, found: Sequence[Cause], worker: Worker) -> HealthEntry:
             "focal_error_sigma_percent": last.calibration.focal_sigma_percent,
         }
     return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "calibrated", values)
+
+
+def _memory_causes() -> list[Cause]:
+    full = full_memory()
+    return [Cause(Kind.MEMORY, full)] if full else []

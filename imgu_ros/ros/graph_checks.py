@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
 
-from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.causes import Cause, Kind
 from imgu_ros.ros.reach import domain_text, elsewhere
 
 #: Of the topics on the graph so many are looked at, the most alike first, and so many named.

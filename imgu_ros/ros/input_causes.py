@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from rclpy.node import Node
 
 from imgu_ros.messages.header_checks import Oddity, what_becomes
-from imgu_ros.ros.cause import Cause, Kind
+from imgu_ros.ros.causes import Cause, Kind
 from imgu_ros.ros.graph_checks import is_latched, why_not_offered
-from imgu_ros.ros.input import ImageInput
+from imgu_ros.ros.image_input import ImageInput
 from imgu_ros.ros.middleware import against_loss
 from imgu_ros.ros.reach import NO_NAME, another_user, has_no_names
 from imgu_ros.shown_text import shown

@@ -1,82 +1,112 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node of this package is: managed, configured by parameters, idle while nobody listens."""
+"""The life cycle that all nodes of this package share: parameters, inputs subscribed on demand, outputs, services."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
-from typing import Any, Generic, Protocol, TypeVar, cast
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
+from imgu_ros.config.components import OutputParameters
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError, ParameterError
-from imgu_ros.ros.background_call import BackgroundCall
-from imgu_ros.ros.middleware import lacks_memory, profile_line
-from imgu_ros.ros.outputs import Outputs
-from imgu_ros.ros.parameter_sections import unheeded_parameters
+from imgu_ros.messages.diagnostics import HealthEntry, diagnostics_message
+from imgu_ros.ros.background_services import BackgroundAction, BackgroundServices
+from imgu_ros.ros.frame_input import FrameInput
+from imgu_ros.ros.frame_worker import FrameWorker
+from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.plain_logger import PlainLogger
-from imgu_ros.ros.process import run_node
+from imgu_ros.ros.qos import no_events, output_qos
+from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.ros.transitions import refuse_impossible_transitions
 
 _THROTTLE_S = 5.0
 _END_S = 1.0
+#: Intervals at which subscribers are looked for: while there are some, and while there are none and the node rests.
+_WATCH_S = 0.1
+_REST_S = 0.2
+_DIAGNOSTICS_S = 1.0
 
 
-class Input(Protocol):
-    """What a node takes its frames from."""
+@dataclass(frozen=True, slots=True)
+class NodeState:
+    """State of a node.
+
+    Attributes
+    ----------
+    name : fully qualified
+    lifecycle : name of the lifecycle state
+    paused, listened : whether it is paused, and whether any output has a subscriber
+    domain : ROS domain, and what confines the node
+    """
+
+    name: str
+    lifecycle: str
+    paused: bool
+    listened: bool
+    domain: str
 
     @property
-    def group(self) -> CallbackGroup:
-        """Of the subscriptions' callbacks."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it is subscribed."""
-
-    def close(self) -> None:
-        """Drop the subscriptions."""
+    def works(self) -> bool:
+        """Whether the node is to subscribe to its inputs."""
+        return self.lifecycle == "active" and not self.paused and self.listened
 
 
-InputT = TypeVar("InputT", bound=Input)
-T = TypeVar("T")
+InputT = TypeVar("InputT", bound=FrameInput)
+WorkerT = TypeVar("WorkerT", bound=FrameWorker)
 
 
-class ManagedNode(LifecycleNode, Generic[InputT]):
-    """A lifecycle node with `~/pause`, `~/reset` and `~/reload`.
+class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
+    """A lifecycle node with `~/pause`, `~/reset`, `~/reload` and `/diagnostics`.
 
-    Who derives from it has an `_input`, and says what `_load`, `_drop`, `_watch`, `_begin`, `_reset` and `_reload` do.
+    Callbacks run in the executor's thread and hand messages over; the worker's thread processes and publishes. Inputs
+    are subscribed only while the node is active, not paused, and an output has a subscriber.
+
+    A derived class has an `_input` and a `_worker`, calls `_start_timers` when it is constructed, and implements the
+    methods that raise NotImplementedError.
 
     Parameters
     ----------
     name : of the node
     stop : tells when the process is asked to stop
+    selection : the topics that it publishes; None: those of the node `perception`
     """
 
     _input: InputT
+    _worker: WorkerT
     _plain_logger: PlainLogger | None = None
 
-    def __init__(self, name: str, stop: StopSignal) -> None:
+    def __init__(self, name: str, stop: StopSignal, selection: Choice | None = None) -> None:
         super().__init__(name, enable_logger_service=True)
         refuse_impossible_transitions(self)
         self._stop = stop
+        self._selection = selection
         self._failure: ImguError | None = None
         self._lifecycle = "unconfigured"
         self._paused = False
+        self._warned: set[str] = set()
         # The machine's time: with use_sim_time a timer would stand still until /clock comes.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._outputs: Outputs | None = None
         self._server = ParameterServer(self)
-        self._beside = BackgroundCall()
-        # While one of them is answered the other callbacks go on.
-        self._slow_services = MutuallyExclusiveCallbackGroup()
+        self._slow = BackgroundServices(self)
+        self._diagnostics = self.create_publisher(
+            message_class("diagnostic_msgs/msg/DiagnosticArray"),
+            "/diagnostics",
+            output_qos(10),
+            event_callbacks=no_events(),
+        )
         self.create_service(SetBool, "~/pause", self._on_pause)
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        # It waits for the end of the frame that is processed.
+        self._slow.create("~/reset", lambda: BackgroundAction(self._reset, str))
 
     def get_logger(self) -> PlainLogger:
         """Return the node's logger; what it logs acts on no terminal."""
@@ -98,14 +128,11 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
             raise self._failure or ImguError(f"{self.get_name()}: cannot be configured; see the log")
         self.trigger_activate()
 
-    def frame_group(self) -> CallbackGroup | None:
-        """Return the group of the inputs' callbacks while they are subscribed."""
-        return self._input.group if self._input.is_open else None
-
     def close(self) -> bool:
         """Drop the inputs and end the threads; return whether they have ended."""
         self._input.close()
-        return self._beside.close(_END_S)
+        ended = self._slow.close(_END_S)
+        return self._worker.close(_END_S) and ended
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> Any:
         """See `ParameterServer.set_atomically`."""
@@ -125,7 +152,7 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to look for listeners."""
+        """Subscribe to the inputs when an output has a subscriber."""
         self._lifecycle = "active"
         self._begin()
         self._watch()
@@ -138,7 +165,7 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the targets and destroy the publishers."""
+        """Drop the targets and destroy the publishers."""
         self._lifecycle = "unconfigured"
         self._input.close()
         self._drop()
@@ -152,61 +179,124 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
         return TransitionCallbackReturn.SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go back to the beginning."""
+        """Clean up, as an unconfigured node."""
         return self.on_cleanup(state)
 
     def _load(self) -> None:
-        """Make what the parameters ask for.
+        """Prepare what the parameters ask for.
 
         Raises
         ------
         ImguError
-            If it cannot be made.
+            If it cannot be prepared.
         """
         raise NotImplementedError
 
-    def _drop(self) -> None:
-        """Forget what was loaded."""
+    def _drop_loaded(self) -> None:
+        """Drop what was loaded; the worker is held between two frames."""
         raise NotImplementedError
 
     def _begin(self) -> None:
-        """Do what is to be done once, when the node becomes active."""
+        """Called once when the node becomes active."""
         raise NotImplementedError
+
+    def _follow(self, parameters: Parameters) -> None:
+        """Put changed parameters in force; called a few times a second while the node is configured."""
+        raise NotImplementedError
+
+    def _forget(self) -> str:
+        """Drop the state of earlier frames, from another thread than the executor's; return what was done."""
+        raise NotImplementedError
+
+    def _reload(self) -> BackgroundAction:
+        """Load again and say what is there now."""
+        raise NotImplementedError
+
+    def _health(self) -> list[HealthEntry]:
+        """Return the entries of /diagnostics."""
+        raise NotImplementedError
+
+    def _warn_of_override(self, line: str) -> None:
+        """Log a QoS override that the node does not have."""
+        self.get_logger().warning(line)
+
+    def _start_timers(self) -> None:
+        self._watch_timer = self.create_timer(_REST_S, self._watch, clock=self._steady)
+        self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
+
+    def _node_state(self) -> NodeState:
+        return NodeState(
+            self.get_fully_qualified_name(),
+            self._lifecycle,
+            self._paused,
+            self._outputs is not None and self._outputs.wanted(),
+            domain_text(self),
+        )
 
     def _watch(self) -> None:
-        """Subscribe when somebody listens, and only then."""
-        raise NotImplementedError
+        """Put changed parameters in force; subscribe when an output has a subscriber, and only then."""
+        if self._outputs is None:
+            return
+        parameters = self._server.parameters
+        self._follow(parameters)
+        self._input.limits = parameters.limits
+        if self._node_state().works:
+            self._input.open()
+            self._input.check_waiting()
+        else:
+            self._input.close()
+        period_ns = round((_WATCH_S if self._input.is_open else _REST_S) * 1e9)
+        if self._watch_timer.timer_period_ns != period_ns:
+            self._watch_timer.timer_period_ns = period_ns
+
+    def _fit_outputs(self, names: Sequence[str], parameters: Parameters) -> None:
+        """Have the publishers for these targets and parameters; the worker is held between two frames."""
+        wanted = OutputParameters.of(parameters)
+        if self._outputs is not None and self._outputs.serves(names, wanted):
+            return
+        if self._outputs is None:
+            self._outputs = Outputs(self, names, wanted, self._selection)
+        else:
+            # Topics that stay keep their subscribers.
+            self._outputs.adapt(names, wanted)
+        possible = self._outputs.qos_override_names() + self._input.qos_override_names()
+        for line in self._server.unknown_qos_overrides(possible):
+            if line not in self._warned:
+                self._warned.add(line)
+                self._warn_of_override(line)
+
+    def _drop(self) -> None:
+        with self._worker.between_frames():
+            self._drop_loaded()
+            if self._outputs is not None:
+                self._outputs.destroy()
+                self._outputs = None
 
     def _reset(self) -> str:
-        """Forget what earlier frames told; return what was done."""
-        raise NotImplementedError
+        with self._worker.between_frames():
+            if self._outputs is not None:
+                self._outputs.reset()
+            return self._forget()
 
-    async def _reload(self) -> str:
-        """Load again; return what is there now."""
-        raise NotImplementedError
+    def _publish_diagnostics(self) -> None:
+        if self._diagnostics.get_subscription_count():
+            stamp_ns = self.get_clock().now().nanoseconds
+            self._diagnostics.publish(diagnostics_message(make_message, stamp_ns, self._health()))
 
-    def _create_slow_service(self, name: str, act: Callable[[], Awaitable[str]]) -> None:
-        """Offer a Trigger that may take long; frames, timers and other services go on meanwhile."""
+    def _create_slow_service(self, name: str, begin: Callable[[], BackgroundAction]) -> None:
+        """Offer a Trigger that may take long and needs the node to be configured, at its end too."""
 
-        async def on_request(_: Any, response: Any) -> Any:
-            try:
-                self._require_configured()
-                response.message = await act()
-                response.success = True
-            except ImguError as error:
-                response.message = str(error)
-                response.success = False
-            return response
+        def configured() -> BackgroundAction:
+            self._require_configured()
+            action = begin()
 
-        self.create_service(Trigger, name, on_request, callback_group=self._slow_services)
+            def finish(result: Any) -> str:
+                self._require_configured()  # it may have been cleaned up meanwhile
+                return action.finish(result)
 
-    async def _do_beside(self, work: Callable[[], T]) -> T:
-        # A service is called by an executor.
-        return await self._beside.do(work, cast(Executor, self.executor))
+            return BackgroundAction(action.work, finish)
 
-    def _on_reset(self, _: Any, response: Any) -> Any:
-        response.message, response.success = self._reset(), True
-        return response
+        self._slow.create(name, configured)
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         self._paused = bool(request.data)
@@ -228,22 +318,3 @@ class ManagedNode(LifecycleNode, Generic[InputT]):
         self.get_logger().warning(
             f"frame rejected: {reason}", throttle_duration_sec=_THROTTLE_S, throttle_time_source_type=self._steady
         )
-
-
-def run_managed(make: Callable[[], ManagedNode[Any]], ros_arguments: Sequence[str], stop: StopSignal) -> int:
-    """Run a node until the process is asked to stop; return the exit code.
-
-    Raises
-    ------
-    ImguError
-        If the node cannot start: a bad parameter, a target that cannot be used, a missing package.
-    """
-
-    def make_node() -> ManagedNode[Any]:
-        node = make()
-        (node.get_logger().warning if lacks_memory() else node.get_logger().info)(profile_line())
-        for line in unheeded_parameters(ros_arguments, node.get_fully_qualified_name()):
-            node.get_logger().warning(line)
-        return node
-
-    return run_node(make_node, ros_arguments, stop)

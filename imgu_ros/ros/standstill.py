@@ -31,7 +31,7 @@ class Standstill:
     ----------
     elapsed_s : a clock that goes on while the machine sleeps
     now_s : the clock of `precedes`
-    wall_ns : the clock of senders' time stamps, but for an offset that may be any
+    wall_ns : the clock of the stamps, but for an offset that may be any
     """
 
     def __init__(
@@ -89,22 +89,25 @@ class Standstill:
             self._dropped += is_old
             return is_old
 
-    def is_old(self, sent_ns: int) -> bool:
-        """Return whether a message that is delivered now was sent before the end of a standstill that is just over.
+    def is_old(self, stamp_ns: int) -> bool:
+        """Return whether a message that is delivered now is from before the end of a standstill that is just over.
+
+        Where stamps do not follow the wall clock (a bag played at another rate) some messages of the first two seconds
+        after a standstill are taken for the wrong kind.
 
         Parameters
         ----------
-        sent_ns : the sender's time stamp by the middleware; 0 or less where it gives none
+        stamp_ns : of the message's header; 0 or less where there is none
         """
         with self._lock:
             self._look()
-            if sent_ns <= 0:
+            if stamp_ns <= 0:
                 return False
             if self._elapsed_s() - self._ended_elapsed_s > _DELIVERED_S or not self._delays_ns:
-                self._delays_ns.append(self._wall_ns() - sent_ns)
+                self._delays_ns.append(self._wall_ns() - stamp_ns)
                 return False
-            # The sender's clock may be another machine's: the shortest way of a message tells the offset.
-            is_old = sent_ns + min(self._delays_ns) < self._ended_wall_ns - _FRESH_NS
+            # The stamps' clock may be another machine's: the shortest delay of a message is taken for the offset.
+            is_old = stamp_ns + min(self._delays_ns) < self._ended_wall_ns - _FRESH_NS
             self._dropped += is_old
             return is_old
 

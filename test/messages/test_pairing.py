@@ -190,6 +190,28 @@ def test_a_strange_image_does_not_hold_up_a_camera():
         assert (pair.image, pair.camera_info) == ("image", "info")
 
 
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_a_flood_of_frame_ids_costs_a_camera_nothing(repeats):
+    """Between any two of its messages come more other names than are kept apart."""
+    pairing: Pairing[str, str] = Pairing()
+    strange = (f"strange {n}" for n in range(100_000))
+
+    def flood() -> None:
+        for name in [next(strange) for _ in range(40)]:
+            for _ in range(repeats):
+                pairing.add_image(n * FRAME_NS, "strange", name)
+            pairing.add_camera_info(n * FRAME_NS + 1, "strange", f"{name} of another camera")
+
+    for n in range(30):
+        assert pairing.add_image(n * FRAME_NS, "image", "A") == [], "it waits for its own"
+        if n:  # once it has been matched
+            flood()
+        pairs = pairing.add_camera_info(n * FRAME_NS, "info", "A")
+        assert [(pair.image, pair.camera_info) for pair in pairs] == [("image", "info")]
+        flood()
+    assert len(pairing._cameras) <= 8 and len(pairing._infos) <= 8
+
+
 def test_a_camera_info_of_the_far_future_ends_no_wait():
     pairing: Pairing[int, int] = Pairing()
     pairing.add_camera_info(2**31 * 10**9, -1)

@@ -19,9 +19,9 @@ from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.messages.image import image_message
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import PoseStatus, ReferenceMatches, Status
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
-from imgu_ros.ros.stages.input import StageJob
 from imgu_ros.ros.stages.pose import PoseStage
 from imgu_ros.vision.matching.matches import Matches
 
@@ -148,14 +148,14 @@ def test_stages(world, changes, says):
     picture = image_message(make_message, header, grey, "mono16" if grey.dtype == np.uint16 else "mono8")
     first, second = Heard(), Heard()
     tentative = matches_message(make_message, header, [seen])
-    homography.work(StageJob({"matches": tentative, "image_mono": picture}, info, 0.0), first)
+    homography.work(FrameMessages({"matches": tentative, "image_mono": picture}, info, 0.0), first)
     (found,) = first.result
     assert found.status is Status.DETECTED, found.reason
     calibrated = first.result.frame.camera is not None
     assert calibrated == (says == "")
     sent = homographies_message(make_message, header, first.result, calibrated=calibrated)
     assert decode_homographies(sent)["calibrated"].tolist() == [calibrated]
-    pose.work(StageJob({"homography": sent, INLIERS: first.offered[INLIERS]}, info, 0.0), second)
+    pose.work(FrameMessages({"homography": sent, INLIERS: first.offered[INLIERS]}, info, 0.0), second)
     (found,) = second.result
     assert found.pose_status is (PoseStatus.UNCALIBRATED if says else PoseStatus.METRIC)
     if says:

@@ -10,8 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.ros.cause import Kind
-from imgu_ros.ros.clock_cause import other_clock
+from imgu_ros.ros.causes import Kind, other_clock
 from imgu_ros.ros.meters import LatencyMeter
 
 

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from imgu_ros.ros.cause import Kind
+from imgu_ros.ros.causes import Kind
 from imgu_ros.ros.graph_checks import Wanted, is_latched, similar_topics, why_not_offered, why_not_served
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.qos import image_qos, latched_qos, output_qos

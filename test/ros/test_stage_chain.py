@@ -31,11 +31,11 @@ from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result, Status
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO, DemosaicStage
 from imgu_ros.ros.stages.features import FeaturesStage
 from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
-from imgu_ros.ros.stages.input import StageJob
 from imgu_ros.ros.stages.matcher import MatcherStage
 from imgu_ros.ros.stages.pose import PoseStage
 from imgu_ros.ros.stages.pyramid import LEVELS_INFO, PyramidStage
@@ -89,7 +89,7 @@ class Six:
         infos = {"pyramid": REDUCED_INFO, "features": LEVELS_INFO}
         for stage in self.stages:
             beside = known[infos[stage.name]] if stage.name in infos else info
-            job = StageJob({name: m for name, m in known.items() if name not in without}, beside, 0.0)
+            job = FrameMessages({name: m for name, m in known.items() if name not in without}, beside, 0.0)
             assert stage.is_complete(job.messages, set(without))
             told = Told(stage)
             stage.work(job, told)  # type: ignore[arg-type]
@@ -224,7 +224,7 @@ def test_other_descriptors_than_the_targets_are_refused() -> None:
     matcher = MatcherStage()
     matcher.use(parameters_from({**OFF, "descriptor.kind": "sift"}), images)
     with pytest.raises(ImguError, match="32 x uint8; need 128 x float32"):
-        matcher.work(StageJob({"keypoints": six.known["keypoints"]}, None, 0.0), Told(matcher))  # type: ignore[arg-type]
+        matcher.work(FrameMessages({"keypoints": six.known["keypoints"]}, None, 0.0), Told(matcher))  # type: ignore[arg-type]
 
 
 def test_guided_matching_is_refused_where_there_are_no_descriptors() -> None:

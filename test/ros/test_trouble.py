@@ -132,12 +132,12 @@ def test_after_a_stop_fresh_frames_are_served_first(imgu, world, peer, make_came
 
 SLOW = """
 import sys, time
-from imgu_ros.localizer import Chain
-process = Chain.process
-def slow(chain, frame, *rest, **more):
+from imgu_ros.localizer import Localizer
+process = Localizer.process
+def slow(localizer, frame, *rest, **more):
     time.sleep(3.5)
-    return process(chain, frame, *rest, **more)
-Chain.process = slow
+    return process(localizer, frame, *rest, **more)
+Localizer.process = slow
 from imgu_ros.cli.main import main
 sys.exit(main(sys.argv[1:]))
 """

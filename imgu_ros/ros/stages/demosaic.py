@@ -16,11 +16,13 @@ from imgu_ros.messages.header_checks import HeaderChecks
 from imgu_ros.messages.reduced_info import Covered, reduced_info_message
 from imgu_ros.messages.results import picture_message, result_header
 from imgu_ros.result import Result
-from imgu_ros.ros.input import input_topics
+from imgu_ros.ros.frame_input import CAMERA_INFO_TYPE
+from imgu_ros.ros.frame_worker import FrameMessages
+from imgu_ros.ros.image_input import input_topics
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.qos import image_qos
-from imgu_ros.ros.stages.input import CAMERA_INFO_TYPE, Feed, StageJob, StageTopics
+from imgu_ros.ros.stages.input import Feed, StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import IMAGE_TYPE, Stage
 from imgu_ros.ros.stopping import StopSignal
@@ -59,7 +61,7 @@ class DemosaicStage(Stage):
         camera_info = "" if parameters.camera.info_file else known.camera_info
         return StageTopics((Feed(_IN, known.image, known.image_type, image_qos()),), camera_info)
 
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `Stage.work`."""
         p = self.parameters
         self._headers.add_image(job.messages[_IN])

@@ -20,8 +20,9 @@ from imgu_ros.messages.reduced_info import Covered, decode_covered
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import Result, StageClock
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.pyramid import LEVELS, LEVELS_INFO
 from imgu_ros.ros.stages.stage import Stage, frame_without_image, picture_feed, reduced_info_beside
@@ -70,7 +71,7 @@ class FeaturesStage(Stage):
             return True  # `work` will say what is wrong with it
         return all(f"{LEVELS}{k}" in messages for k in range(count))
 
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `Stage.work`."""
         first = _picture(job.messages[_FIRST])
         size = Covered(first.shape[1], first.shape[0])

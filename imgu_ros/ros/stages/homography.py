@@ -25,9 +25,10 @@ from imgu_ros.pose.planar_pose import Located, with_homography
 from imgu_ros.reasons import no_matches
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, StageClock, Status, by_name
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import (
     CLOUD_TYPE,
@@ -78,7 +79,7 @@ class HomographyStage(TargetStage):
         spared = _PICTURE in absent and not self.parameters.refinement.enabled
         return _MATCHES in messages and (_PICTURE in messages or spared)
 
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `Stage.work`."""
         header = decode_header(job.messages[_MATCHES])
         tentative = decode_target_matches(job.messages[_MATCHES])
@@ -114,7 +115,7 @@ class HomographyStage(TargetStage):
         ]
         outputs.offer(INLIERS, lambda: matches_message(make_message, header, fitted))
 
-    def _robust_fit(self, job: StageJob, header: Header, clock: StageClock) -> tuple[Frame, RobustFit]:
+    def _robust_fit(self, job: FrameMessages, header: Header, clock: StageClock) -> tuple[Frame, RobustFit]:
         image = None
         if _PICTURE in job.messages:
             image = develop(decode_image(job.messages[_PICTURE]), RawParameters(), DemosaicParameters())

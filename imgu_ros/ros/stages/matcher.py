@@ -16,8 +16,9 @@ from imgu_ros.messages.features import decode_keypoints
 from imgu_ros.messages.header import decode_header
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.outputs import Choice, Outputs
-from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import TargetStage, cloud_feed, frame_without_image
 from imgu_ros.ros.stopping import StopSignal
@@ -51,7 +52,7 @@ class MatcherStage(TargetStage):
     def _planar(self) -> list[PlanarReference]:
         return [each for each in self.targets if isinstance(each, PlanarReference)]
 
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `Stage.work`."""
         message = job.messages[_IN]
         keypoints, descriptors = decode_keypoints(message)

@@ -22,10 +22,11 @@ from imgu_ros.reasons import no_homography, no_pose
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.size_checks import SizeChecks
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.homography import INLIERS
-from imgu_ros.ros.stages.input import StageJob, StageTopics
+from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import (
     TargetStage,
@@ -80,7 +81,7 @@ class PoseStage(TargetStage):
         homography = cloud_feed(node, _HOMOGRAPHY)
         return StageTopics((homography, cloud_feed(node, INLIERS)), camera_info_beside(node, homography, parameters))
 
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `Stage.work`."""
         header = decode_header(job.messages[_HOMOGRAPHY])
         agreeing = decode_target_matches(job.messages[INLIERS])

@@ -15,10 +15,12 @@ from imgu_ros.messages.frame import decode_frame
 from imgu_ros.messages.reduced_info import Covered, decode_covered, reduced_info_from, reduced_info_message
 from imgu_ros.messages.results import result_header
 from imgu_ros.result import Result
+from imgu_ros.ros.frame_input import CAMERA_INFO_TYPE
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO
-from imgu_ros.ros.stages.input import CAMERA_INFO_TYPE, StageJob, StageTopics
+from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import Stage, picture_feed, reduced_info_beside
 from imgu_ros.ros.stopping import StopSignal
@@ -44,7 +46,7 @@ class PyramidStage(Stage):
         picture = picture_feed(node, REDUCED)
         return StageTopics((picture,), reduced_info_beside(node, picture, REDUCED_INFO))
 
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `Stage.work`."""
         frame = decode_frame(job.messages[REDUCED], None, rectified=False)
         # Whoever made the picture has developed it.

@@ -20,9 +20,10 @@ from imgu_ros.messages.header import Header
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references, prepare_references
+from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.outputs import Choice, Outputs
 from imgu_ros.ros.qos import output_qos
-from imgu_ros.ros.stages.input import Feed, StageJob, StageTopics
+from imgu_ros.ros.stages.input import Feed, StageTopics
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 IMAGE_TYPE = "sensor_msgs/msg/Image"
@@ -62,7 +63,7 @@ class Stage(ABC):
         """Return the topics that the stage takes."""
 
     @abstractmethod
-    def work(self, job: StageJob, outputs: Outputs) -> None:
+    def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """Work on the messages of one stamp and publish what comes out.
 
         Raises

@@ -23,11 +23,11 @@ from imgu_ros.messages.image import image_message
 from imgu_ros.reference import features as target_features
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import Result, Status
-from imgu_ros.ros import worker as worker_module
+from imgu_ros.ros import localizer_worker as worker_module
 from imgu_ros.ros.frame_queue import FrameQueue
-from imgu_ros.ros.input import Job
+from imgu_ros.ros.frame_worker import FrameMessages
+from imgu_ros.ros.localizer_worker import LocalizerWorker, ResultHandlers
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.worker import Handlers, Worker
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 
 
@@ -39,9 +39,9 @@ class Running:
         self.results: list[Result] = []
         self.failures: list[str] = []
         self._came = threading.Event()
-        self._slot: FrameQueue[Job] = FrameQueue()
-        handlers = Handlers(self._on_result, lambda _: None, self.failures.append, lambda: False)
-        self.worker = Worker(self._slot, lambda: self.parameters, handlers)
+        self._slot: FrameQueue[FrameMessages] = FrameQueue()
+        handlers = ResultHandlers(self._on_result, lambda _: None, self.failures.append, lambda: False)
+        self.worker = LocalizerWorker(self._slot, lambda: self.parameters, handlers)
         self.worker.use(self.worker.build(images))
 
     def work(self, frame: Frame) -> Result:
@@ -49,7 +49,11 @@ class Running:
         header = Header(frame.stamp_ns, frame.frame_id)
         image = image_message(make_message, header, frame.image.pixels, "bayer_rggb8")
         assert frame.camera is not None
-        self._slot.put(Job(image, camera_info_message(make_message, header, frame.camera), time.monotonic()))
+        self._slot.put(
+            FrameMessages(
+                {"image_raw": image}, camera_info_message(make_message, header, frame.camera), time.monotonic()
+            )
+        )
         assert self._came.wait(20), self.failures
         return self.results[-1]
 
@@ -64,7 +68,7 @@ class Running:
                 self.worker._take_over()
             time.sleep(0.005)
 
-    def _on_result(self, result: Result, _: Job) -> None:
+    def _on_result(self, result: Result) -> None:
         self.results.append(result)
         self._came.set()
 

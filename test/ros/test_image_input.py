@@ -17,15 +17,14 @@ from rclpy.serialization import serialize_message
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import decode_image, image_message
-from imgu_ros.ros import input as input_module
-from imgu_ros.ros.cause import Kind
-from imgu_ros.ros.input import ImageInput, input_topics
+from imgu_ros.ros import frame_input as input_module
+from imgu_ros.ros.causes import Kind
+from imgu_ros.ros.image_input import ImageInput, input_topics
 from imgu_ros.ros.input_causes import image_causes
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.simulate.texture import procedural_texture
 
 #: Of a message that the middleware tells nothing about.
-NO_INFO = {"source_timestamp": 0}
 
 
 @pytest.fixture
@@ -85,23 +84,23 @@ def test_callbacks_hand_over_and_count(make_node, monkeypatch):
         image = image_message(make_message, Header(stamp_ns, "cam"), pixels, "mono8")
         info.header = image.header
         source._on_camera_info(serialize_message(info))
-        source._on_image(serialize_message(image), NO_INFO)
-    jobs = [source.slot.take() for _ in range(3 - source.slot.skipped)]
+        source._on_image(serialize_message(image))
+    jobs = [source.queue.take() for _ in range(3 - source.queue.skipped)]
     assert jobs[-1] is not None
-    assert jobs[-1].image.header.stamp.nanosec == 30
+    assert jobs[-1].message.header.stamp.nanosec == 30
     assert jobs[-1].camera_info.header.stamp.nanosec == 30
-    assert np.array_equal(decode_image(jobs[-1].image).pixels, pixels)
+    assert np.array_equal(decode_image(jobs[-1].message).pixels, pixels)
     assert source.arrivals.count == source.infos.count == 3
     assert source.unmatched == 0
     # An image whose camera_info never comes is not held for ever.
-    source._on_image(serialize_message(image_message(make_message, Header(40, "cam"), pixels, "mono8")), NO_INFO)
+    source._on_image(serialize_message(image_message(make_message, Header(40, "cam"), pixels, "mono8")))
     source.check_waiting()
     monkeypatch.setattr(input_module, "_SHORT_PATIENCE_S", 0.0)
     source.check_waiting()
     source.check_waiting()
-    job = source.slot.take()
+    job = source.queue.take()
     assert job is not None
-    assert job.image.header.stamp.nanosec == 40
+    assert job.message.header.stamp.nanosec == 40
     assert source.unmatched == 1
     source.close()
     assert not source.is_open
@@ -112,14 +111,14 @@ def test_bytes_that_are_no_message_are_passed_over(make_node):
     source = ImageInput(node, "raw")
     whole = serialize_message(image_message(make_message, Header(1, "cam"), np.zeros((48, 64), np.uint8), "mono8"))
     for damaged in (b"", b"\0\1\0\0", whole[:40], whole[:-100], whole + bytes(100), b"\7" + whole[1:]):
-        source._on_image(damaged, NO_INFO)
+        source._on_image(damaged)
         source._on_camera_info(damaged)
     assert source.arrivals.count == source.infos.count == 0
     (cause,) = image_causes(node, source, time.monotonic())
     assert cause.kind is Kind.REJECTED
     assert cause.text.startswith("/image_raw: sensor_msgs/msg/Image: ")
     assert cause.text.endswith("need bytes of this type")
-    source._on_image(whole, NO_INFO)
+    source._on_image(whole)
     assert source.arrivals.count == 1
     assert not list(image_causes(node, source, time.monotonic()))
 
@@ -131,9 +130,9 @@ def test_what_is_too_large_is_passed_over_and_counted(make_node):
         serialize_message(image_message(make_message, Header(1, "cam"), np.zeros((rows, 1000), np.uint8), "mono8"))
         for rows in (999, 1000)
     )
-    source._on_image(small, NO_INFO)
+    source._on_image(small)
     assert (source.arrivals.count, source.unread) == (1, 0)
-    source._on_image(large, NO_INFO)
+    source._on_image(large)
     assert source.unreadable == "/image_raw: 1.0 MB; need at most 1 (limits.message_mb)"
     assert (source.arrivals.count, source.unread) == (1, 1)
     info = message_class("sensor_msgs/msg/CameraInfo")()

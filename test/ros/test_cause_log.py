@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from imgu_ros.ros.cause import Cause, CauseLog, Kind
+from imgu_ros.ros.causes import Cause, CauseLog, Kind
 
 NOBODY = Cause(Kind.NO_PUBLISHER, "no publisher on /a")
 IDLE = Cause(Kind.IDLE, "idle")
