@@ -14,7 +14,7 @@ from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import EncodingError
 from imgu_ros.messages.frame import decode_frame
 from imgu_ros.messages.header import decode_header
-from imgu_ros.messages.image_source import described_encoding
+from imgu_ros.messages.image import described_encoding
 from imgu_ros.remarks import Remarks
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 

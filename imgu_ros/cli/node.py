@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from imgu_ros.process_memory import return_large_blocks
     from imgu_ros.ros.middleware import require_room_to_start, set_profile
-    from imgu_ros.ros.stopping import Stopped, StopSignal
+    from imgu_ros.ros.stopping import StopRequested, StopSignal
 
     require_room_to_start()
     set_profile()
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             with stop.interruptible():
                 module = importlib.import_module(NODES[arguments.name])
             return int(module.run(ros_arguments, stop))
-        except Stopped:
+        except StopRequested:
             return 0
 
 

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Play the bag and say what was published."""
     from imgu_ros.ros.middleware import require_room_to_start, set_profile
-    from imgu_ros.ros.stopping import Stopped, StopSignal
+    from imgu_ros.ros.stopping import StopRequested, StopSignal
 
     limits = parameters_of(arguments).limits
     require_room_to_start()
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
             ros_arguments = ["--ros-args", *arguments.ros_args] if arguments.ros_args else []
             report = play(arguments.bags, options, ros_arguments, stop, tell)
-        except Stopped:
+        except StopRequested:
             return 0
     say(*report.lines())
     return 0

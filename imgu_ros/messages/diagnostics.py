@@ -13,7 +13,7 @@ from imgu_ros.messages.header import Header, header_message
 from imgu_ros.shown_text import shown
 
 
-class Level(IntEnum):
+class HealthLevel(IntEnum):
     """How bad it is, as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
@@ -27,7 +27,7 @@ class HealthEntry:
     """One line of a node's health: what it is about, how bad it is, what is said, and figures."""
 
     name: str
-    level: Level
+    level: HealthLevel
     message: str
     values: Mapping[str, object]
 

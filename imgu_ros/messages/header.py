@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps and frames: std_msgs/Header."""
+"""Stamps and frames: std_msgs/Header, rosgraph_msgs/Clock."""
 
 from __future__ import annotations
 
@@ -64,3 +64,8 @@ def header_message(make: MessageFactory, header: Header) -> Any:
         raise EncodingError(f"stamp: {header.stamp_ns} ns; need seconds that fit 32 bits ({_INT32[0]} to {_INT32[-1]})")
     stamp = make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=header.frame_id)
+
+
+def clock_message(make: MessageFactory, time_ns: int) -> Any:
+    """Return a rosgraph_msgs/Clock that shows `time_ns`."""
+    return make("rosgraph_msgs/msg/Clock", clock=header_message(make, Header(time_ns, "")).stamp)

@@ -211,3 +211,9 @@ def _checked_pixels(pixels: Image, encoding: Encoding) -> Image:
     if encoding.layout.color in (ColorModel.UYVY, ColorModel.YUYV) and pixels.shape[1] % 2:
         raise EncodingError(f"pixels: shape {pixels.shape}; need an even width for {encoding.name}")
     return pixels
+
+
+def described_encoding(message: Any) -> str:
+    """Return the encoding of a sensor_msgs/Image, or the format of a CompressedImage, at most 40 characters of it."""
+    text = str(getattr(message, "encoding", getattr(message, "format", "")))
+    return " ".join(text.split())[:40]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why nothing comes out of a node: one cause, its words, and which causes the log has heard of."""
+"""Causes that keep poses from being published, and which of them have been logged."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _STOPPED_S = 1.0
 _OTHER_CLOCK_S = 60.0
 
 
-class Kind(StrEnum):
-    """What keeps poses from coming out, in the order in which it is looked for."""
+class CauseKind(StrEnum):
+    """Kinds of causes, in the order in which they are checked."""
 
     LIFECYCLE = "lifecycle"  #: the node is not active
     PAUSED = "paused"
-    LISTENER = "listener"  #: somebody listens with a quality of service that no output fits
-    IDLE = "idle"  #: nobody listens
+    LISTENER = "listener"  #: a subscriber asks for a quality of service that its output does not offer
+    IDLE = "idle"  #: no output has a subscriber
     CLOCK = "clock"  #: use_sim_time, and /clock stands still
     MEMORY = "shared_memory"  #: it is full
     NO_PUBLISHER = "no_publisher"
     WRONG_TYPE = "wrong_type"
     QOS = "qos"  #: the input's publishers offer less than is asked for
-    HELD_UP = "held_up"  #: the process stood still, or one frame holds the worker
+    HELD_UP = "held_up"  #: the process was suspended, or one frame occupies the worker
     LOST = "lost"  #: images are lost on the way
     SILENT = "silent"  #: a publisher, and no images
     REJECTED = "rejected"  #: images come and cannot be read
@@ -50,37 +50,37 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Why nothing comes out.
+    """A cause that keeps poses from being published.
 
     Attributes
     ----------
     kind : what it is
-    text : one line of words, with what to do
+    text : one line for people, with what to do
     is_logged : whether it is logged elsewhere
     case : which of its kind it is, when several can hold at once
     """
 
-    kind: Kind
+    kind: CauseKind
     text: str
     is_logged: bool = False
     case: str = ""
 
 
-#: What every node does for a while, or was asked to do; and what is logged where it happens.
-_NOT_LOGGED = frozenset((Kind.IDLE, Kind.WAITING, Kind.REJECTED, Kind.FRAMES))
+#: Normal states of a node, and causes that are logged where they occur.
+_NOT_LOGGED = frozenset((CauseKind.IDLE, CauseKind.WAITING, CauseKind.REJECTED, CauseKind.FRAMES))
 
 
 class CauseLog:
-    """Tells which causes are new, so that the log has each kind, and each case of it, once.
+    """Selects the causes that are new, so that each kind, and each case of it, is logged once.
 
-    A cause is told again when it comes back after a minute without it.
+    A cause is logged again when it returns after a minute without it.
     """
 
     def __init__(self) -> None:
-        self._seen_s: dict[tuple[Kind, str], float] = {}
+        self._seen_s: dict[tuple[CauseKind, str], float] = {}
 
     def news(self, causes: Iterable[Cause], now_s: float) -> Iterator[Cause]:
-        """Yield the causes that the log has not heard of; `now_s` is monotonic."""
+        """Yield the causes that have not been logged yet; `now_s` is monotonic."""
         for cause in causes:
             if cause.kind in _NOT_LOGGED or cause.is_logged:
                 continue
@@ -91,12 +91,12 @@ class CauseLog:
                 yield cause
 
     def clear(self) -> None:
-        """Forget what was told: the node begins anew."""
+        """Log every cause again: the node was activated."""
         self._seen_s.clear()
 
 
 def other_clock(node: Node, ages: LatencyMeter) -> Iterator[Cause]:
-    """Yield that the images' stamps are not of the clock that use_sim_time makes the node follow.
+    """Yield a cause when the images' stamps are of another clock than the one that use_sim_time makes the node follow.
 
     Without it, stamps of another clock are those of a recording, which is played as it was.
 
@@ -111,12 +111,12 @@ def other_clock(node: Node, ages: LatencyMeter) -> Iterator[Cause]:
     side = "behind" if middle[0] > 0 else "ahead of"
     said = f"stamps of the images are {abs(middle[0]) / 1e3:.0f} s {side} /clock: they are of another clock"
     yield Cause(
-        Kind.STAMPS, f"{said}; give the driver use_sim_time as well, or set it to false here", case="other_clock"
+        CauseKind.STAMPS, f"{said}; give the driver use_sim_time as well, or set it to false here", case="other_clock"
     )
 
 
 class ClockWatch:
-    """Watches a node's clock, by looking at it now and then.
+    """Detects that a node's clock has stopped.
 
     Parameters
     ----------
@@ -140,7 +140,9 @@ class ClockWatch:
         if stopped_s < _STOPPED_S:
             return None
         if time_ns:
-            return Cause(Kind.CLOCK, f"clock stopped: /clock stands at {time_ns / 1e9:.3f} s for {stopped_s:.0f} s")
+            return Cause(
+                CauseKind.CLOCK, f"clock stopped: /clock stands at {time_ns / 1e9:.3f} s for {stopped_s:.0f} s"
+            )
         publisher = "has a publisher and sends nothing" if self._node.count_publishers("/clock") else "has no publisher"
         fix = "play with a clock (imgu play, ros2 bag play --clock), or set use_sim_time to false"
-        return Cause(Kind.CLOCK, f"clock stopped: use_sim_time is true and /clock {publisher}; {fix}")
+        return Cause(CauseKind.CLOCK, f"clock stopped: use_sim_time is true and /clock {publisher}; {fix}")

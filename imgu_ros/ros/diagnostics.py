@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from imgu_ros.messages.diagnostics import HealthEntry, Level
+from imgu_ros.messages.diagnostics import HealthEntry, HealthLevel
 from imgu_ros.result import Result
-from imgu_ros.ros.causes import Cause, CauseLog, ClockWatch, Kind, other_clock
+from imgu_ros.ros.causes import Cause, CauseKind, CauseLog, ClockWatch, other_clock
 from imgu_ros.ros.image_input import ImageInput
 from imgu_ros.ros.input_causes import camera_info_causes, header_causes, image_causes, publisher_causes
 from imgu_ros.ros.localizer_worker import LocalizerWorker
@@ -20,27 +20,27 @@ from imgu_ros.ros.managed_node import NodeState
 from imgu_ros.ros.middleware import full_memory
 from imgu_ros.ros.reach import domain_text
 
-#: A target may be out of view, and a calibration late, for so long.
+#: A target may be out of view, and camera_info missing, for so long without a message.
 _PATIENCE_S = 1.5
 _LOOK_S = 0.5
 
 _OF_INPUT = frozenset(
     (
-        Kind.NO_PUBLISHER,
-        Kind.WRONG_TYPE,
-        Kind.QOS,
-        Kind.HELD_UP,
-        Kind.LOST,
-        Kind.SILENT,
-        Kind.REJECTED,
-        Kind.UNPAIRED,
-        Kind.CLOCK,
-        Kind.PUBLISHERS,
-        Kind.FRAME_ID,
-        Kind.STAMPS,
+        CauseKind.NO_PUBLISHER,
+        CauseKind.WRONG_TYPE,
+        CauseKind.QOS,
+        CauseKind.HELD_UP,
+        CauseKind.LOST,
+        CauseKind.SILENT,
+        CauseKind.REJECTED,
+        CauseKind.UNPAIRED,
+        CauseKind.CLOCK,
+        CauseKind.PUBLISHERS,
+        CauseKind.FRAME_ID,
+        CauseKind.STAMPS,
     )
 )
-_OF_CAMERA = frozenset((Kind.UNCALIBRATED, Kind.UNPAIRED))
+_OF_CAMERA = frozenset((CauseKind.UNCALIBRATED, CauseKind.UNPAIRED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +62,12 @@ class PerceptionState:
 
 
 class Explainer:
-    """Looks twice a second for what keeps poses from coming out, and logs each cause once.
+    """Checks twice a second what keeps poses from being published, and logs each cause once.
 
     Parameters
     ----------
-    node : logs, and looks at the graph
-    source, worker : what is explained
+    node : logs, and gives the graph
+    source, worker : of the node
     state : returns the node's state; whether its clock stands still is found here
     """
 
@@ -121,26 +121,26 @@ def health(
 
 
 def causes(state: PerceptionState, node: Node, source: ImageInput, worker: LocalizerWorker) -> list[Cause]:
-    """Return why no poses come out, the first cause on the way from the input on first; empty when they do.
+    """Return why no poses are published, causes near the input first; empty when poses are published.
 
-    They look at the graph: call it a few times a second at most.
+    The graph is queried: call it a few times a second at most.
     """
     now = time.monotonic()
     if state.node.lifecycle != "active":
-        return [Cause(Kind.LIFECYCLE, f"lifecycle state: {state.node.lifecycle}; need active")]
+        return [Cause(CauseKind.LIFECYCLE, f"lifecycle state: {state.node.lifecycle}; need active")]
     if state.node.paused:
-        return [Cause(Kind.PAUSED, "paused: call ~/pause with false to go on")]
+        return [Cause(CauseKind.PAUSED, "paused: call ~/pause with false to go on")]
     misfits = list(state.misfits)
     if not state.node.listened:
-        return misfits or [Cause(Kind.IDLE, f"idle: no subscribers in {domain_text(node)}")]
+        return misfits or [Cause(CauseKind.IDLE, f"idle: no subscribers in {domain_text(node)}")]
     on_the_way = list(image_causes(node, source, now))
     stopped = [] if state.stopped_clock is None else [state.stopped_clock]
     long = worker.long_frame()
-    held_up = [] if long is None else [Cause(Kind.HELD_UP, long.text, case="frame")]
-    if on_the_way and on_the_way[0].kind not in (Kind.LOST, Kind.HELD_UP):
-        # A player that has not begun sends neither images nor time.
+    held_up = [] if long is None else [Cause(CauseKind.HELD_UP, long.text, case="frame")]
+    if on_the_way and on_the_way[0].kind not in (CauseKind.LOST, CauseKind.HELD_UP):
+        # A player that has not started sends neither images nor time.
         return [*held_up, *stopped, *on_the_way, *misfits]
-    frames = [Cause(Kind.FRAMES, state.frames)] if state.frames else []
+    frames = [Cause(CauseKind.FRAMES, state.frames)] if state.frames else []
     return [
         *held_up,
         *_of_frames(node, source, worker, now),
@@ -151,26 +151,26 @@ def causes(state: PerceptionState, node: Node, source: ImageInput, worker: Local
         *publisher_causes(node, source),
         *header_causes(source, "" if worker.parameters is None else worker.parameters.frames.camera),
         *other_clock(node, worker.age),
-        *(Cause(Kind.SIZE, text, case=name) for name, text in list(worker.sizes.warnings.items())),
+        *(Cause(CauseKind.SIZE, text, case=name) for name, text in list(worker.sizes.warnings.items())),
     ]
 
 
 def _of_frames(node: Node, source: ImageInput, worker: LocalizerWorker, now: float) -> Iterator[Cause]:
     if worker.figures.rejection:
-        yield Cause(Kind.REJECTED, f"frame rejected: {worker.figures.rejection}")
+        yield Cause(CauseKind.REJECTED, f"frame rejected: {worker.figures.rejection}")
         return
     if not worker.targets:
-        yield Cause(Kind.NO_TARGETS, "no targets: set targets.images")
+        yield Cause(CauseKind.NO_TARGETS, "no targets: set targets.images")
         return
     last = worker.last
     if last is None:
-        yield Cause(Kind.WAITING, f"waiting for images on {source.topics.image} ({domain_text(node)})")
+        yield Cause(CauseKind.WAITING, f"waiting for images on {source.topics.image} ({domain_text(node)})")
         return
     if not any(target.status.found for target in last):
         yield from _not_seen(last, source, worker, now)
     elif all(target.pose is None for target in last) and last.frame.camera is not None:
         first = next(target for target in last if target.status.found)
-        yield Cause(Kind.NO_POSE, f"{first.name}: {first.reason}")
+        yield Cause(CauseKind.NO_POSE, f"{first.name}: {first.reason}")
     if last.frame.camera is None and source.open_s(now) > _PATIENCE_S:
         yield from _uncalibrated(last, node, source, now)
     else:
@@ -182,12 +182,12 @@ def _not_seen(last: Result, source: ImageInput, worker: LocalizerWorker, now: fl
     unseen_s = source.open_s(now) if failures.found_s is None else now - failures.found_s
     if min(unseen_s, source.open_s(now)) < _PATIENCE_S or worker.parameters is None:
         return
-    # Of those that are looked for, the one that came nearest.
+    # Of the targets not found, the one with the most inliers.
     most = failures.most_inliers
     name = max(most, key=lambda key: most[key], default=last.first.name)
     reason = last.references[name].reason
     yield Cause(
-        Kind.NOT_SEEN,
+        CauseKind.NOT_SEEN,
         f"target not seen: {name}: best so far {most.get(name, 0)} inliers, "
         f"need {worker.parameters.homography.min_inliers}; last frame: {reason}",
     )
@@ -202,7 +202,7 @@ def unusable_camera_info(reason: str, topic: str) -> str:
 def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> Iterator[Cause]:
     reason = last.frame.camera_reason
     if reason:
-        yield Cause(Kind.UNCALIBRATED, unusable_camera_info(reason, source.camera_info_topic), is_logged=True)
+        yield Cause(CauseKind.UNCALIBRATED, unusable_camera_info(reason, source.camera_info_topic), is_logged=True)
         return
     for cause in camera_info_causes(node, source, now):
         yield Cause(cause.kind, f"uncalibrated: {cause.text}; homographies, no poses")
@@ -211,8 +211,8 @@ def _uncalibrated(last: Result, node: Node, source: ImageInput, now: float) -> I
 def _output(
     name: str, state: PerceptionState, found: Sequence[Cause], worker: LocalizerWorker, now: float
 ) -> HealthEntry:
-    idle = all(cause.kind in (Kind.IDLE, Kind.PAUSED, Kind.LIFECYCLE) for cause in found)
-    level = Level.OK if idle else Level.WARN
+    idle = all(cause.kind in (CauseKind.IDLE, CauseKind.PAUSED, CauseKind.LIFECYCLE) for cause in found)
+    level = HealthLevel.OK if idle else HealthLevel.WARN
     reason = "; ".join(cause.text for cause in found)
     values: dict[str, object] = {
         "lifecycle_state": state.node.lifecycle,
@@ -245,21 +245,21 @@ def _input(name: str, found: Sequence[Cause], source: ImageInput, worker: Locali
         "publishers_with_incompatible_qos": counters.incompatible,
     }
     if not source.is_open:
-        return HealthEntry(name, Level.OK, "not subscribed", values)
+        return HealthEntry(name, HealthLevel.OK, "not subscribed", values)
     reason = "; ".join(cause.text for cause in found if cause.kind in _OF_INPUT)
-    return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "images come in", values)
+    return HealthEntry(name, HealthLevel.WARN if reason else HealthLevel.OK, reason or "images come in", values)
 
 
 def _camera(name: str, found: Sequence[Cause], worker: LocalizerWorker) -> HealthEntry:
     last = worker.last
     if last is None:
-        return HealthEntry(name, Level.OK, "no frame yet", {})
+        return HealthEntry(name, HealthLevel.OK, "no frame yet", {})
     of_camera = [cause.text for cause in found if cause.kind in _OF_CAMERA]
     reason = "; ".join((*filter(None, [worker.reading_problem]), *of_camera))
     camera = last.frame.camera
     if camera is None:
         said = last.frame.camera_reason or "no camera_info"
-        return HealthEntry(name, Level.WARN, reason or f"uncalibrated: {said}", {})
+        return HealthEntry(name, HealthLevel.WARN, reason or f"uncalibrated: {said}", {})
     reason = "; ".join((*filter(None, [reason]), *last.camera_remarks))
     values: dict[str, object] = {
         "frame_id": last.frame.frame_id,
@@ -278,9 +278,9 @@ def _camera(name: str, found: Sequence[Cause], worker: LocalizerWorker) -> Healt
             "focal_error_percent": last.calibration.focal_percent,
             "focal_error_sigma_percent": last.calibration.focal_sigma_percent,
         }
-    return HealthEntry(name, Level.WARN if reason else Level.OK, reason or "calibrated", values)
+    return HealthEntry(name, HealthLevel.WARN if reason else HealthLevel.OK, reason or "calibrated", values)
 
 
 def _memory_causes() -> list[Cause]:
     full = full_memory()
-    return [Cause(Kind.MEMORY, full)] if full else []
+    return [Cause(CauseKind.MEMORY, full)] if full else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between the callbacks, which only hand over, and the worker."""
+"""Queue of frames between the callbacks and the worker."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-#: A worker that has not been up with what comes for so long is too slow; before, it is held up and will catch up.
+#: A worker that has not emptied the queue for so long is too slow; before that it is delayed and will catch up.
 _PATIENCE_S = 0.25
-#: More never wait: an image is some megabytes.
+#: Maximum number of items: an image is some megabytes.
 _MOST = 12
-#: So many senders are told apart, by the time that they took lately.
+#: Number of senders that are distinguished, and the time constant of the processing time counted for each.
 _SENDERS = 8
 _LATELY_S = 2.0
 
 
 class FrameQueue(Generic[T]):
-    """Holds what comes: all of it for a worker that keeps up, the newest for one that is too slow. Thread-safe.
+    """Keeps all items for a worker that keeps up, and the newest for one that is too slow. Thread-safe.
 
-    A worker keeps up if it has, now and then, taken all that came. If it is held up for a moment what comes waits for
-    it; if it has been behind for longer all but the newest gives way, and counts as skipped.
+    A worker keeps up if it has emptied the queue within `patience_s`. After that all but the newest item are dropped
+    and count as skipped.
 
-    Of several senders each is looked at by itself, and the one comes first that took the least of the worker's time
-    lately; a new one comes last. While the worker is at another's item nobody is behind: who sends what takes long does
-    not cost the others their frames, but for those beyond a dozen. Eight are told apart; all others count as one until
-    one of the eight has been silent for two seconds: endlessly many names do not cost one that stays its frames.
+    Senders are treated separately, and the one that used the least of the worker's time recently is served first; a
+    new one is served last. The time of other senders' items does not count as delay, so a sender of slow items does not
+    cost the others their frames, up to twelve items in all. Eight senders are distinguished; all others share one place
+    until one of the eight has been silent for two seconds, so that endlessly many names do not displace a steady sender.
 
     Parameters
     ----------
-    patience_s : how long a worker may be behind before what is old gives way
+    patience_s : how long a worker may be behind before old items are dropped
     clock : tells the time, s
-    is_old : tells whether an item is not worth taking any more
-    sender : tells whose an item is
+    is_old : whether an item is to be skipped
+    sender : name of an item's sender
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class FrameQueue(Generic[T]):
         self._clock = clock
         self._is_old = is_old
         self._sender = sender
-        self._senders: OrderedDict[str | None, _Sender[T]] = OrderedDict()  # who sent last, last; None: all others
+        self._senders: OrderedDict[str | None, _Sender[T]] = OrderedDict()  # the latest sender last; None: all others
         self._served: _Sender[T] | None = None
         self._looked_s = clock()
         self._skipped = 0
@@ -61,16 +61,16 @@ class FrameQueue(Generic[T]):
 
     @property
     def skipped(self) -> int:
-        """Items that gave way before anybody took them."""
+        """Items that were dropped."""
         return self._skipped
 
     def skip(self) -> None:
-        """Count an item as skipped that is not worth handing over."""
+        """Count an item that was dropped before it was put."""
         with self._condition:
             self._skipped += 1
 
     def put(self, item: T) -> None:
-        """Hand over an item."""
+        """Add an item."""
         with self._condition:
             now_s = self._clock()
             name = self._known_name(self._sender(item), now_s)
@@ -87,7 +87,7 @@ class FrameQueue(Generic[T]):
             self._condition.notify()
 
     def take(self) -> T | None:
-        """Wait for an item and take it; None once the slot is closed."""
+        """Wait for an item and take it; None once the queue is closed."""
         with self._condition:
             while True:
                 self._charge()
@@ -107,7 +107,7 @@ class FrameQueue(Generic[T]):
                 self._skipped += 1
 
     def clear(self) -> None:
-        """Drop what is held; it does not count as skipped."""
+        """Drop all items; they do not count as skipped."""
         with self._condition:
             self._senders.clear()
 
@@ -119,7 +119,7 @@ class FrameQueue(Generic[T]):
             self._condition.notify_all()
 
     def _known_name(self, name: str, now_s: float) -> str | None:
-        """Return the name that a sender is told apart by; None when it is one of the others."""
+        """Return the name under which a sender is kept; None for the shared place."""
         if name in self._senders or len(self._senders.keys() - {None}) < _SENDERS:
             return name
         for known, sender in self._senders.items():
@@ -132,7 +132,7 @@ class FrameQueue(Generic[T]):
         return any(sender.waiting for sender in self._senders.values())
 
     def _charge(self) -> None:
-        """Count the time since the last look for the sender whose item was taken; what is long ago counts less."""
+        """Add the time since the last call to the sender whose item was taken; older times decay."""
         now_s = self._clock()
         passed_s, self._looked_s = now_s - self._looked_s, now_s
         if self._served is not None:
@@ -146,7 +146,7 @@ class FrameQueue(Generic[T]):
             sender.used_s *= left
 
     def _behind_s(self, sender: _Sender[T], now_s: float, looked_s: float) -> float:
-        """Return for how long the worker has not been up with a sender; its work for another does not count."""
+        """Return for how long the worker has been behind with a sender, without its time for others."""
         if sender.behind_since_s is None:
             return 0.0
         is_others = self._served is not None and self._served is not sender
@@ -165,9 +165,9 @@ class FrameQueue(Generic[T]):
 
 @dataclass(slots=True, eq=False)
 class _Sender(Generic[T]):
-    """One sender: the worker's time that it took lately, what waits, since when not all of it has been taken.
+    """One sender: the worker's time that it used recently, its items, and since when not all of them were taken.
 
-    `last_s`: when it sent last.
+    `last_s`: time of its last item.
     """
 
     used_s: float

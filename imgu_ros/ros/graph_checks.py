@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who publishes what a subscription asks for: nobody, another type, with a quality of service that does not fit."""
+"""Checks of the graph: whether a subscription has a publisher of its type with a compatible quality of service."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
 
-from imgu_ros.ros.causes import Cause, Kind
+from imgu_ros.ros.causes import Cause, CauseKind
 from imgu_ros.ros.reach import domain_text, elsewhere
 
-#: Of the topics on the graph so many are looked at, the most alike first, and so many named.
+#: Number of topics on the graph that are examined, the most similar names first, and of those that are named.
 _MOST_LOOKED_AT = 12
 _MOST_NAMED = 3
-#: Names at least so alike are worth naming although their type is another.
+#: Names at least so similar are named although their type differs.
 _ALIKE = 0.6
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _IMAGES = ("sensor_msgs/msg/Image", _COMPRESSED)
@@ -43,7 +43,7 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A topic that somebody else publishes, and its types."""
+    """A topic that another node publishes, and its types."""
 
     topic: str
     types: tuple[str, ...]
@@ -53,21 +53,21 @@ def why_not_offered(node: Node, wanted: Wanted) -> Cause | None:
     """Return why no publisher can serve a subscription, and what to do; None when one can."""
     endpoints = node.get_publishers_info_by_topic(wanted.topic)
     if not endpoints:
-        return Cause(Kind.NO_PUBLISHER, f"no publisher on {wanted.topic}; {_instead(node, wanted)}")
+        return Cause(CauseKind.NO_PUBLISHER, f"no publisher on {wanted.topic}; {_instead(node, wanted)}")
     of_type = [endpoint for endpoint in endpoints if endpoint.topic_type == wanted.type_name]
     if not of_type:
         types = sorted({endpoint.topic_type for endpoint in endpoints})
         need = f"need {wanted.type_name}{_hint_of_type(wanted, types)}"
-        return Cause(Kind.WRONG_TYPE, f"only {', '.join(types)} on {wanted.topic}; {need}")
+        return Cause(CauseKind.WRONG_TYPE, f"only {', '.join(types)} on {wanted.topic}; {need}")
     if any(_fits(endpoint.qos_profile, wanted.qos) for endpoint in of_type):
         return None
     misfit = of_type[0]
     why = f"{_name(misfit)} {_misfits(misfit.qos_profile, wanted.qos, wanted.topic, 'subscription')}"
-    return Cause(Kind.QOS, f"only publishers with incompatible QoS on {wanted.topic}: {why}")
+    return Cause(CauseKind.QOS, f"only publishers with incompatible QoS on {wanted.topic}: {why}")
 
 
 def why_not_served(node: Node, publishers: Iterable[Any]) -> list[Cause]:
-    """Return a cause for each publisher of ours that has listeners whose quality of service it does not fit."""
+    """Return a cause for each publisher of this node that has subscribers with an incompatible quality of service."""
     causes = []
     for publisher in publishers:
         if node.count_subscribers(publisher.topic_name) <= publisher.get_subscription_count():
@@ -76,7 +76,7 @@ def why_not_served(node: Node, publishers: Iterable[Any]) -> list[Cause]:
             if not _fits(publisher.qos_profile, endpoint.qos_profile):
                 said = _misfits(publisher.qos_profile, endpoint.qos_profile, publisher.topic_name, "publisher")
                 who = f"listener {_name(endpoint)} of {publisher.topic_name}"
-                causes.append(Cause(Kind.LISTENER, f"{who} cannot be served: this node {said}"))
+                causes.append(Cause(CauseKind.LISTENER, f"{who} cannot be served: this node {said}"))
                 break
     return causes
 

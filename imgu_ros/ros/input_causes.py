@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why an image input gives nothing, or less than it should."""
+"""Causes in the input: no images, lost images, missing camera_info, odd headers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from rclpy.node import Node
 
 from imgu_ros.messages.header_checks import Oddity, what_becomes
-from imgu_ros.ros.causes import Cause, Kind
+from imgu_ros.ros.causes import Cause, CauseKind
 from imgu_ros.ros.graph_checks import is_latched, why_not_offered
 from imgu_ros.ros.image_input import ImageInput
 from imgu_ros.ros.middleware import against_loss
@@ -20,10 +20,10 @@ _DISCOVERY_S = 1.0
 #: Without images for this long, or for so many times their usual interval, something is wrong.
 _SILENCE_S = 1.5
 _INTERVALS = 4
-#: The share of images that may be lost on the way without a word.
+#: Share of images that may be lost without a warning.
 _LOSS = 0.1
 _FEWEST_LOST = 5
-#: So many images in a row without a camera_info of their stamp are no accident.
+#: So many images in a row without a camera_info of their stamp are reported.
 _UNPAIRED = 5
 _SECOND_NS = 1e9
 _MOST_NAMED = 4
@@ -33,9 +33,9 @@ _OTHER_CLOCK_S = 60.0
 
 
 def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
-    """Yield why no image comes, or why too few do; nothing while the input is not subscribed or may still begin."""
+    """Yield why no or too few images arrive; nothing while the input is not subscribed or was subscribed just now."""
     if source.unreadable:
-        yield Cause(Kind.REJECTED, source.unreadable)
+        yield Cause(CauseKind.REJECTED, source.unreadable)
         return
     silent_s = source.silent_s(now_s)
     if silent_s >= _DISCOVERY_S:
@@ -45,7 +45,7 @@ def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause
             return
     held_up = source.standstill.lately()
     if held_up:
-        yield Cause(Kind.HELD_UP, held_up, is_logged=True)
+        yield Cause(CauseKind.HELD_UP, held_up, is_logged=True)
         return
     lost = source.counters.lost_lately(now_s)
     if silent_s >= max(_SILENCE_S, _usual_silence_s(source, now_s)):
@@ -53,7 +53,7 @@ def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause
     elif lost >= _FEWEST_LOST and lost > _LOSS * (lost + source.arrivals.recent(now_s)):
         came = source.arrivals.recent(now_s)
         share = f"{lost} of the last {lost + came} images on {source.topics.image}"
-        yield Cause(Kind.LOST, f"{share} got lost on the way; {against_loss()}")
+        yield Cause(CauseKind.LOST, f"{share} got lost on the way; {against_loss()}")
 
 
 def camera_info_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause]:
@@ -70,12 +70,12 @@ def camera_info_causes(node: Node, source: ImageInput, now_s: float) -> Iterator
                 f"; it is sent once and kept (transient_local): set {kept}.reliability to reliable and "
                 f"{kept}.durability to transient_local"
             )
-        yield Cause(Kind.UNCALIBRATED, f"no camera_info on {topic}: {text}")
+        yield Cause(CauseKind.UNCALIBRATED, f"no camera_info on {topic}: {text}")
     elif pairing.misses_in_a_row >= _UNPAIRED and source.infos.recent(now_s) > 1:
         image_s, info_s = (pairing.last_image_ns or 0) / _SECOND_NS, pairing.last_info_ns / _SECOND_NS
         clocks = "" if abs(image_s - info_s) < _OTHER_CLOCK_S else ": of different clocks"
         yield Cause(
-            Kind.UNPAIRED,
+            CauseKind.UNPAIRED,
             f"stamps of {topic} and {source.topics.image} do not pair ({pairing.misses_in_a_row} images in a row; "
             f"latest {info_s:.3f} s and {image_s:.3f} s{clocks}): the nearest camera_info is used; need equal stamps",
         )
@@ -94,7 +94,7 @@ def publisher_causes(node: Node, source: ImageInput) -> Iterator[Cause]:
     if cameras and not told:
         told = [f"{source.topics.image} carries images of several cameras"]
     if told:
-        yield Cause(Kind.PUBLISHERS, f"{'; '.join(told)}: {what_becomes(cameras)}")
+        yield Cause(CauseKind.PUBLISHERS, f"{'; '.join(told)}: {what_becomes(cameras)}")
 
 
 def _publishing_nodes(node: Node, topic: str) -> list[str]:
@@ -112,8 +112,8 @@ def header_causes(source: ImageInput, camera_frame: str) -> Iterator[Cause]:
     """Yield what is odd about the headers of the images that come; `camera_frame` is the parameter `frames.camera`."""
     for oddity, text in source.headers.told(camera_frame, lately=True).items():
         if oddity is Oddity.SHARED:
-            continue  # told with the names of the publishers
-        kind = Kind.FRAME_ID if oddity.is_about_frames else Kind.STAMPS
+            continue  # `publisher_causes` names the publishers
+        kind = CauseKind.FRAME_ID if oddity.is_about_frames else CauseKind.STAMPS
         yield Cause(kind, text, case=oddity.value)
 
 
@@ -127,14 +127,14 @@ def _silence(node: Node, source: ImageInput, silent_s: float, lost: int, now_s: 
     said = f"no images on {source.topics.image} for {silent_s:.0f} s"
     # Images far too large for the shared memory never arrive, so that nothing else tells their size.
     if lost:
-        return Cause(Kind.LOST, f"{said}: {lost} got lost on the way; {against_loss()}")
+        return Cause(CauseKind.LOST, f"{said}: {lost} got lost on the way; {against_loss()}")
     infos_hz = source.infos.rate_hz(now_s)
     if infos_hz:
         there = f"{source.topics.camera_info} comes at {infos_hz:.0f} Hz"
-        return Cause(Kind.LOST, f"{said}, while {there}: they may get lost on the way; {against_loss()}")
+        return Cause(CauseKind.LOST, f"{said}, while {there}: they may get lost on the way; {against_loss()}")
     publishers = node.get_publishers_info_by_topic(source.topics.image)
     nameless = has_no_names(publishers)
-    # Who has heard of the camera can hear it.
+    # Images came before, so the processes can reach each other.
     why = another_user(nameless) if nameless or not source.arrivals.count else ""
     question = "" if nameless and why else "does the camera run?"
-    return Cause(Kind.SILENT, f"{said}, although it has a publisher: {' '.join(filter(None, (question, why)))}")
+    return Cause(CauseKind.SILENT, f"{said}, although it has a publisher: {' '.join(filter(None, (question, why)))}")

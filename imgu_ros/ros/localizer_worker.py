@@ -78,7 +78,7 @@ class SearchFailures:
         self._most = most
 
     def clear(self) -> None:
-        """Start anew."""
+        """Drop all counts."""
         self._found_s, self._most = None, {}
 
 
@@ -126,13 +126,13 @@ class LocalizerWorker(FrameWorker):
 
     @property
     def targets(self) -> tuple[Reference, ...]:
-        """What is looked for."""
+        """The targets that are searched for."""
         built = self._built
         return () if built is None else built.references
 
     @property
     def parameters(self) -> Parameters | None:
-        """The parameters that frames are worked on with; None before `use`."""
+        """The parameters that frames are processed with; None before `use`."""
         built = self._built
         return None if built is None else built.parameters
 
@@ -143,15 +143,15 @@ class LocalizerWorker(FrameWorker):
 
     @property
     def reading_problem(self) -> str:
-        """Why frames are not read as the parameters in force say; empty when they are."""
+        """Why frames are not decoded as the parameters in force say; empty when they are."""
         return self._reading_problem
 
     def build(self, images: Sequence[TargetImage], parameters: Parameters | None = None) -> Built:
-        """Return a chain for these targets; frames go on meanwhile.
+        """Return a localizer for these targets; frames are processed meanwhile.
 
         Parameters
         ----------
-        images : what is looked for
+        images : of the targets
         parameters : None: those in force
 
         Raises
@@ -162,12 +162,12 @@ class LocalizerWorker(FrameWorker):
         return build(images, self._parameters() if parameters is None else parameters, self._built)
 
     def read_with(self, reading: FrameReading, parameters: Parameters) -> None:
-        """Read frames so from the next one on, as long as these parameters are in force."""
+        """Decode frames this way from the next one on, as long as these parameters are in force."""
         with self.between_frames():
             self._reading, self._read_for, self._reading_problem = reading, parameters, ""
 
     def use(self, built: Built) -> None:
-        """Go on with this chain from the next frame on; tracks of targets that stay the same go on."""
+        """Use this localizer from the next frame on; tracks of targets that stay the same are kept."""
         with self.between_frames():
             self._rebuilder.forget()
             if self._built is not None:
@@ -178,7 +178,7 @@ class LocalizerWorker(FrameWorker):
             self.failures.clear()
 
     def follow(self) -> None:
-        """Have the chain made anew when the parameters have changed; to be called a few times a second."""
+        """Have the localizer rebuilt when the parameters have changed; to be called a few times a second."""
         built, parameters = self._built, self._parameters()
         if built is not None and parameters is not built.parameters:
             self._rebuilder.ask(built, parameters)
@@ -192,7 +192,7 @@ class LocalizerWorker(FrameWorker):
             self.failures.clear()
 
     def drop(self) -> None:
-        """Forget chain, targets and results; frames are ignored until `use`."""
+        """Drop localizer, targets and results; frames are ignored until `use`."""
         with self.between_frames():
             self._rebuilder.forget()
             self._built = self._last = None
@@ -226,14 +226,14 @@ class LocalizerWorker(FrameWorker):
         self.figures.count_done(given.received_s)
 
     def _take_over(self) -> None:
-        """Go on with the chain that was made for changed parameters, if one was, from where the old one stands."""
+        """Use the localizer that was built for changed parameters, if any, with the tracks of the old one."""
         built = self._rebuilder.take()
         if built is not None and self._built is not None and built.images is self._built.images:
             built.chain.continue_from(self._built.chain)
             self._built = built
 
     def _follow_reading(self) -> None:
-        """Read this frame already as the parameters say: a camera or an encoding needs no other chain."""
+        """Decode this frame as the new parameters say: another camera or encoding needs no other localizer."""
         parameters = self._parameters()
         now = time.monotonic()
         if parameters is self._read_for or (parameters is self._unread and now < self._read_again_s):
@@ -250,5 +250,5 @@ class LocalizerWorker(FrameWorker):
         return rejected(frame, self.targets, reason)
 
 
-#: Stands in results for an image that could not be read.
+#: Stands in results for an image that could not be decoded.
 _NO_IMAGE = RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO))

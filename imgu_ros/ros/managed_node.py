@@ -20,7 +20,7 @@ from imgu_ros.ros.background_services import BackgroundAction, BackgroundService
 from imgu_ros.ros.frame_input import FrameInput
 from imgu_ros.ros.frame_worker import FrameWorker
 from imgu_ros.ros.messages import make_message, message_class
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.parameters import ParameterServer
 from imgu_ros.ros.plain_logger import PlainLogger
 from imgu_ros.ros.qos import no_events, output_qos
@@ -84,7 +84,7 @@ class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
     _worker: WorkerT
     _plain_logger: PlainLogger | None = None
 
-    def __init__(self, name: str, stop: StopSignal, selection: Choice | None = None) -> None:
+    def __init__(self, name: str, stop: StopSignal, selection: TopicSelection | None = None) -> None:
         super().__init__(name, enable_logger_service=True)
         refuse_impossible_transitions(self)
         self._stop = stop

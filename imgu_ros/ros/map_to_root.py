@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ties the robot's tree of frames to the map: map -> root on /tf, from the camera's pose in the map."""
+"""Publishes map -> root of the robot's frame tree on /tf, from the camera's pose in the map."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ TF_TOPIC = "/tf"
 _STATIC_TOPIC = "/tf_static"
 _TF_DEPTH = 100
 
-#: By then the transforms that are kept for late joiners have come.
+#: Transforms that are latched have arrived by then.
 _SETTLED_S = 1.0
 #: A camera's place in the map waits so long for the robot's transforms at its stamp: wheel odometry comes later.
 _PATIENCE_S = 1.0
 _MOST_WAITING = 64
-#: So long a frame that somebody else hangs from the map counts as taken.
+#: A child of the map that another node publishes counts as taken for so long.
 _FORGOTTEN_S = 5.0
 #: Stamps of our own transforms, by which they are known when they come back.
 _MOST_SENT = 1024
@@ -39,7 +39,7 @@ class MapToRootPublisher:
     """Makes map -> root of the camera's poses in the map.
 
     A frame has one parent (REP-105). So when the camera belongs to a robot, what hangs from the map is the root of the
-    robot's tree, which /tf and /tf_static tell; and when somebody else has given the root a parent, nothing does.
+    robot's tree, as published on /tf and /tf_static; when the root has another parent already, nothing is published.
 
     Subscriptions are made, served and destroyed in the executor's thread, `add` and `take` are called in the worker's.
 
@@ -128,7 +128,7 @@ class MapToRootPublisher:
         return StampedTransform(pose.stamp_ns, self._map, pose.root, map_from_root)
 
     def _second_parent(self, pose: _Waiting, now: float) -> str:
-        """Return who is the root's parent already; empty when nobody is."""
+        """Return which other parent the root has; empty when it has none."""
         parent = self._tree.parent(pose.root)
         if parent:
             top = self._tree.root(pose.camera_frame)

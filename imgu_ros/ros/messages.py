@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes rclpy's messages; needs the message packages, and neither rclpy nor DDS."""
+"""Factory of rclpy's messages; needs the message packages, and neither rclpy nor DDS."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates and latencies over the last seconds."""
+"""Meters of rates and latencies over the last seconds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-#: A window keeps no more of the events that came at once.
+#: Maximum number of simultaneous events that a window keeps.
 _MOST_AT_ONCE = 1000
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output topics of a node: a publisher for each, and nothing made for those that nobody listens to."""
+"""Output topics of a node: a publisher for each; messages are made for topics with subscribers only."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from imgu_ros.config.components import OutputParameters
 from imgu_ros.messages.geometry import tf_message
@@ -20,22 +21,104 @@ from imgu_ros.messages.results import needs_keypoints, target_transforms
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result
 from imgu_ros.ros.map_to_root import TF_TOPIC, TF_TYPE, MapToRootPublisher
-from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.publishers import Publishers, Topic
+from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.qos import no_events, output_qos, overridable, override_names
 from imgu_ros.vision.camera.pose_fusion import FusedPose
 
 _COMPRESSED_SUFFIX = "/compressed"
 #: A long queue of large images only makes slow subscribers slower.
 _DEPTHS = {"sensor_msgs/msg/Image": 2, "sensor_msgs/msg/CompressedImage": 2}
 _DEPTH, _TF_DEPTH = 10, 100
-#: Squared distances over their degrees of freedom, 1 on average: far beyond chance.
+#: Squared distance over its degrees of freedom (1 on average) from which targets contradict each other.
 _CONTRADICTION = 25.0
 _THROTTLE_S = 5.0
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
+@dataclass(frozen=True, slots=True)
+class PublishedTopic:
+    """A topic's type, "package/msg/Name", and how many messages wait for a slow subscriber."""
+
+    type_name: str
+    depth: int = 10
+
+
+class Publishers:
+    """The publishers of a node, its topics relative to the node's namespace.
+
+    Parameters
+    ----------
+    node : creates the publishers
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._topics: dict[str, PublishedTopic] = {}
+        self._publishers: dict[str, Publisher] = {}
+
+    def adapt(self, topics: Mapping[str, PublishedTopic]) -> None:
+        """Have publishers for these topics and no others; those that stay the same keep their subscribers.
+
+        Raises
+        ------
+        ImguError
+            If a message's package is not installed; then nothing changes.
+        """
+        for topic in topics.values():
+            message_class(topic.type_name)
+        for name in [name for name, topic in self._topics.items() if topics.get(name) != topic]:
+            del self._topics[name]
+            self._node.destroy_publisher(self._publishers.pop(name))
+        for name, topic in topics.items():
+            if name not in self._topics:
+                self._publishers[name] = self._create(name, topic)
+                self._topics[name] = topic
+
+    def destroy(self) -> None:
+        """Destroy all publishers."""
+        self.adapt({})
+
+    def listened(self, topic: str) -> bool:
+        """Return whether a topic has a subscriber; False when there is none of that name."""
+        publisher = self._publishers.get(topic)
+        return publisher is not None and publisher.get_subscription_count() > 0
+
+    def any_listened(self) -> bool:
+        """Return whether any topic has a subscriber."""
+        return any(self.listened(topic) for topic in self._publishers)
+
+    def offer(self, topic: str, make: Callable[[], Any | None]) -> None:
+        """Publish the message that `make` returns, unless it is None, when the topic has a subscriber."""
+        if self.listened(topic):
+            self.send(topic, make())
+
+    def send(self, topic: str, message: Any | None) -> None:
+        """Publish a message, unless it is None."""
+        if message is not None:
+            self._publishers[topic].publish(message)
+
+    def unmatched(self) -> int:
+        """Return how many subscribers cannot be served because their QoS is incompatible."""
+        publishers = self._publishers.values()
+        return sum(max(0, self._node.count_subscribers(p.topic_name) - p.get_subscription_count()) for p in publishers)
+
+    def qos_override_names(self) -> list[str]:
+        """Return the parameters that override the QoS of the topics."""
+        topics = [self._node.resolve_topic_name(topic) for topic in self._publishers]
+        return [name for topic in topics for name in override_names(topic, "publisher")]
+
+    def _create(self, name: str, topic: PublishedTopic) -> Publisher:
+        return self._node.create_publisher(
+            message_class(topic.type_name),
+            name,
+            output_qos(topic.depth),
+            event_callbacks=no_events(),
+            qos_overriding_options=overridable(),
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Choice:
+class TopicSelection:
     """The topics of a node that has a part of `perception`'s, and others.
 
     Attributes
@@ -58,7 +141,7 @@ class Outputs:
     node : creates the publishers
     target_names : in the order of `targets.images`
     parameters : those of the outputs
-    choice : which topics; None: all of the node `perception`
+    selection : which topics; None: all of the node `perception`
 
     Raises
     ------
@@ -67,10 +150,14 @@ class Outputs:
     """
 
     def __init__(
-        self, node: Node, target_names: Sequence[str], parameters: OutputParameters, choice: Choice | None = None
+        self,
+        node: Node,
+        target_names: Sequence[str],
+        parameters: OutputParameters,
+        selection: TopicSelection | None = None,
     ) -> None:
         self._node = node
-        self._choice = choice
+        self._selection = selection
         self._publishers = Publishers(node)
         self._converter = ResultConverter(make_message, draw_result, target_names, parameters)
         self._tie: MapToRootPublisher | None = None
@@ -170,17 +257,20 @@ class Outputs:
     def _always(self) -> bool:
         return self._parameters.publish_tf and self._is_chosen(TF_TOPIC)
 
-    def _topics(self, converter: ResultConverter, parameters: OutputParameters) -> dict[str, Topic]:
+    def _topics(self, converter: ResultConverter, parameters: OutputParameters) -> dict[str, PublishedTopic]:
         types = {topic: row.type_name for topic, row in converter.topics().items()}
         types |= {TF_TOPIC: TF_TYPE} if parameters.publish_tf else {}
         types = {name: kind for name, kind in types.items() if self._is_chosen(name.removesuffix(_COMPRESSED_SUFFIX))}
-        types |= self._choice.beside if self._choice else {}
+        types |= self._selection.beside if self._selection else {}
         depths = _DEPTHS | {TF_TYPE: _TF_DEPTH}
-        own = set(self._choice.beside if self._choice else ())
-        return {name: Topic(kind, _DEPTH if name in own else depths.get(kind, _DEPTH)) for name, kind in types.items()}
+        own = set(self._selection.beside if self._selection else ())
+        return {
+            name: PublishedTopic(kind, _DEPTH if name in own else depths.get(kind, _DEPTH))
+            for name, kind in types.items()
+        }
 
     def _is_chosen(self, topic: str) -> bool:
-        return self._choice is None or self._choice.includes(topic) or topic in self._choice.beside
+        return self._selection is None or self._selection.includes(topic) or topic in self._selection.beside
 
     def _published(self, result: Result) -> ConvertedFrame:
         frame = self._converter.frame(result)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node's parameter files do not do, although they look as if: ROS 2 says nothing of it."""
+"""Parameters in files that have no effect, without a message of ROS 2; apart from process.py, as it needs no ROS."""
 
 from __future__ import annotations
 

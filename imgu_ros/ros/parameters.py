@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The declared parameters on a ROS node: described, checked as one, and never silently ignored.
 
-rclpy by itself ignores an override whose name nobody declares, and its parameter services check one value at a
+rclpy by itself ignores an override whose name is not declared, and its parameter services check one value at a
 time. Here an unknown name is refused with the nearest known one, and a set is checked together with the values
 that stay.
 """
@@ -60,7 +60,7 @@ class ParameterServer:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._lock = threading.Lock()
-        # No public call of rclpy gives the overrides that nobody has declared.
+        # rclpy has no public call for the overrides that are not declared.
         overrides = node._parameter_overrides
         self._qos_overrides = [name for name in overrides if name.startswith(QOS_PREFIX)]
         given = {
@@ -186,7 +186,7 @@ class ParameterServer:
         with self._lock:
             self._values.update({name: checked_value(name, value) for name, value in given.items()})
             together = parameters_from(live, self._live)
-            # Values that stay the same are no reason to make anything anew.
+            # Equal values must not cause a rebuild.
             if together != self._live:
                 self._live = together
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A logger that shows text from outside: no line acts on the terminal of the log, or is endless."""
+"""A logger that escapes text from outside; a file of its own, which rclpy skips when it looks for a line's caller."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from imgu_ros.shown_text import shown
 
-# rclpy keeps what a throttled line needs by the line's caller, which is not this file. It may not name such a list.
+# rclpy keeps the state of a throttled line by the line's caller, which is not this file. The list may not exist.
 getattr(rcutils_logger, "_internal_callers", []).append(os.path.realpath(__file__))
 
 

@@ -25,15 +25,14 @@ from imgu_ros.bags.reading import Bag, open_bag
 from imgu_ros.bags.storage import RawMessage
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError, ImguError
-from imgu_ros.messages.clock import clock_message
+from imgu_ros.messages.header import clock_message
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.middleware import large_message_warnings, profile_line
-from imgu_ros.ros.play_report import PlayReport, Span
-from imgu_ros.ros.playback_clock import PlaybackClock
+from imgu_ros.ros.playback_timing import PlaybackClock, PlayReport, Span
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import latched_qos, output_qos, overridable
 from imgu_ros.ros.reach import domain_text, elsewhere
-from imgu_ros.ros.stopping import Stopped, StopSignal
+from imgu_ros.ros.stopping import StopRequested, StopSignal
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
@@ -41,7 +40,7 @@ CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 _POLL_S = 0.02
 _REMIND_S = 5.0
 _CLOCK_PERIOD_S = 0.025
-#: A matched writer may still be unknown to the reader, which then drops what comes.
+#: A matched writer may still be unknown to the reader, which then drops its messages.
 _SETTLE_S = 0.5
 _DISCOVERY_S = 1.0
 _ACKNOWLEDGE_S = 2.0
@@ -128,7 +127,7 @@ class _Player:
 
     def run(self) -> PlayReport:
         self._create_publishers()
-        with contextlib.suppress(Stopped):
+        with contextlib.suppress(StopRequested):
             self._wait_for_subscribers()
             spare_collector()
             self._publish_all()
@@ -195,7 +194,7 @@ class _Player:
                 return
             if wanted and now >= remind:
                 have = f"{self._matched(images)} of {wanted} ({domain_text(self._node)}{self._elsewhere()})"
-                hint = " (`imgu node` subscribes once somebody listens to what it publishes)"
+                hint = " (`imgu node` subscribes once one of its outputs has a subscriber)"
                 self._say(f"waiting for subscribers on {', '.join(images)}: {have}{hint}")
                 remind = now + _REMIND_S
             self._sleep(_POLL_S)
@@ -249,7 +248,7 @@ class _Player:
                 self._say(f"imgu: warning: {topic}: {line}")
 
     def _sleep_until(self, due: float, time_ns: int) -> None:
-        """Sleep until a message of `time_ns` is due, and keep /clock ticking for those who listen."""
+        """Sleep until a message of `time_ns` is due, and publish /clock meanwhile when it has subscribers."""
         while True:
             now = time.monotonic()
             listened = self._clock.get_subscription_count() > 0
@@ -264,7 +263,7 @@ class _Player:
     def _sleep(self, seconds: float) -> None:
         # A gap of years, or a rate near 0: no timer waits so long at once, and who called looks again.
         if self._stop.wait(min(max(0.0, seconds), _LONGEST_SLEEP_S)):
-            raise Stopped
+            raise StopRequested
 
     def _finish(self) -> None:
         """Let subscribers have the last messages before the publishers go."""

@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.ros.middleware import lacks_memory, profile_line
 from imgu_ros.ros.parameter_sections import parameter_fault, unheeded_parameters
-from imgu_ros.ros.stopping import Stopped, StopSignal
+from imgu_ros.ros.stopping import StopRequested, StopSignal
 from imgu_ros.threads import one_processor_left_over
 
 #: The executor's wait for a callback, s.
@@ -69,7 +69,7 @@ def run_node(make_node: Callable[[], Node], ros_arguments: Sequence[str], stop: 
         finally:
             finished = node.close()  # type: ignore[attr-defined]
             node.destroy_node()
-    except Stopped:
+    except StopRequested:
         pass
     finally:
         rclpy.try_shutdown()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service: what the nodes ask for and offer, and counts of what the middleware reports about it."""
+"""Quality of service: profiles of inputs and outputs, and counters of the middleware's events."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which processes a node can reach: its ROS domain, what confines it to this machine, and whose memory it can read."""
+"""Which processes a node can reach: its ROS domain, restrictions to this machine, and shared memory of other users."""
 
 from __future__ import annotations
 

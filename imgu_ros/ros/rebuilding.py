@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the chain for changed parameters beside the one that works, so that no frame waits for it."""
+"""Builds the localizer for changed parameters in a thread of its own, so that no frame waits for it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from imgu_ros.errors import ImguError
 from imgu_ros.localizer_builder import Built, build
 from imgu_ros.threads import quick_thread_switches
 
-#: The longest rest between two chains, s.
+#: The longest pause between two builds, s.
 _LONGEST_REST_S = 1.0
 
 
 class Rebuilder:
-    """Builds for the newest parameters that it is asked for, one at a time, in a thread that ends with its work.
+    """Builds for the newest parameters requested, one at a time, in a thread that ends with its work.
 
     Parameters
     ----------
-    failed : takes a line about parameters with which no chain can be made; called in the thread
+    failed : takes a line about parameters with which no localizer can be built; called in the thread
     """
 
     def __init__(self, failed: Callable[[str], None]) -> None:
@@ -35,7 +35,7 @@ class Rebuilder:
         self._closed = threading.Event()
 
     def ask(self, before: Built, parameters: Parameters) -> None:
-        """Have a chain made like `before` with other parameters; returns at once, and may be called again and again."""
+        """Ask for a localizer like `before` with other parameters; returns at once, and may be called repeatedly."""
         with self._lock:
             if parameters is self._tried or self._closed.is_set():
                 return
@@ -45,13 +45,13 @@ class Rebuilder:
                 self._thread.start()
 
     def take(self) -> Built | None:
-        """Return what was made since the last call, None when nothing was."""
+        """Return the localizer built since the last call; None when there is none."""
         with self._lock:
             done, self._done = self._done, None
             return done
 
     def forget(self) -> None:
-        """Drop what was asked for and what was made: other targets are looked for now."""
+        """Drop request and result: the targets have changed."""
         with self._lock:
             self._wanted = self._tried = self._done = None
 
@@ -70,7 +70,7 @@ class Rebuilder:
             while (order := self._next()) is not None:
                 start = time.monotonic()
                 self._make(order)
-                # Parameters may change all the time: at least half of it belongs to the frames.
+                # Parameters may change all the time: at least half of it is left to the frames.
                 self._closed.wait(min(time.monotonic() - start, _LONGEST_REST_S))
 
     def _make(self, order: _Order) -> None:
@@ -79,7 +79,7 @@ class Rebuilder:
         except ImguError as error:
             self._failed(f"parameters: {error}; the chain goes on with the old ones")
         except Exception as error:
-            # Whatever it is, the old chain goes on, and the next parameters may be better.
+            # The old localizer stays in use; later parameters may be valid.
             self._failed(f"parameters: {type(error).__name__}: {error}; the chain goes on with the old ones")
         else:
             with self._lock:
@@ -97,7 +97,7 @@ class Rebuilder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Order:
-    """What is to be made: like `before`, with these parameters."""
+    """A localizer to build: like `before`, with these parameters."""
 
     before: Built
     parameters: Parameters

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the process stood still (SIGSTOP, a sleeping laptop, no processor time), and which messages are from before.
+"""Detects that the process was suspended (SIGSTOP, a sleeping laptop, no processor time), and which messages are older.
 
-The middleware keeps the last messages of before, and those that came meanwhile. When the process goes on they would be
-served first, as if they were news.
+The middleware keeps the last messages from before and those that came meanwhile. When the process continues they would
+be processed first.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
-#: A process that is called many times a second, and was not for so long, stood still.
+#: An interval between calls from which the process was suspended.
 _STANDSTILL_S = 1.0
-#: What was sent so shortly before the end is fresh.
+#: A message sent so shortly before the end is not old.
 _FRESH_NS = 100_000_000
-#: The middleware delivers the last of what is old within this time.
+#: The middleware delivers the last old message within this time.
 _DELIVERED_S = 2.0
-#: It is told for so long: as long as the rates look back.
+#: A standstill is reported for so long, the window of the rates.
 _TOLD_S = 5.0
 _DELAYS = 100
 
 
 class Standstill:
-    """Notices by being called, many times a second, that it was not called for a while. Thread-safe.
+    """Detects a standstill by the interval between its calls, which are many a second. Thread-safe.
 
     Parameters
     ----------
@@ -57,19 +57,19 @@ class Standstill:
         return self._ended_s
 
     def begin(self) -> None:
-        """Begin to be called."""
+        """Start: calls are expected from now on."""
         with self._lock:
             self._beat_s = self._elapsed_s()
             self._delays_ns.clear()
 
     def end(self) -> None:
-        """Stop being called: nothing is a standstill until `begin`."""
+        """Stop: no standstill is detected until `begin`."""
         with self._lock:
             self._beat_s = None
 
     @contextlib.contextmanager
     def excused(self) -> Iterator[None]:
-        """Be held up by something of the node's own, a frame that takes long: that is no standstill."""
+        """Mark a delay by the node itself, such as a long frame: it is no standstill."""
         with self._lock:
             self._look()
             self._is_excused = True
@@ -82,7 +82,7 @@ class Standstill:
                     self._beat_s = self._elapsed_s()
 
     def precedes(self, received_s: float) -> bool:
-        """Return whether what was received at a time, by `now_s`, is from before the last standstill's end."""
+        """Return whether a message received at a time, by `now_s`, is from before the end of the last standstill."""
         with self._lock:
             self._look()
             is_old = received_s <= self._ended_s
@@ -112,7 +112,7 @@ class Standstill:
             return is_old
 
     def news(self) -> str:
-        """Return a line about a standstill that is over, once, when what is old has come; else nothing."""
+        """Return a line about a standstill that is over, once, when the old messages have come; else nothing."""
         with self._lock:
             self._look()
             if self._is_told or self._elapsed_s() - self._ended_elapsed_s < 0.5 * _DELIVERED_S:

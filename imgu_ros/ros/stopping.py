@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ends a process of this package cleanly on SIGINT and SIGTERM, whatever it is doing.
+"""Ends a process of this package cleanly on SIGINT and SIGTERM, in every phase.
 
 rclpy's own handlers shut the context down under the threads that still publish; its executor waits in C, where a
 Python handler cannot run. Here the first byte that the signal writes wakes the executor, and the handler only sets a
@@ -19,7 +19,7 @@ from typing import Any
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Stopped(BaseException):
+class StopRequested(BaseException):
     """Raised in an interruptible phase when the process is asked to stop.
 
     Not an `Exception`: no handler of errors on the way up may take it for one.
@@ -27,7 +27,7 @@ class Stopped(BaseException):
 
 
 class StopSignal:
-    """Listens for SIGINT and SIGTERM while it is entered, in the main thread.
+    """Handles SIGINT and SIGTERM while it is entered, in the main thread.
 
     A second signal does not interrupt the clean-up that the first one started.
     """
@@ -76,16 +76,16 @@ class StopSignal:
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Mark a phase of the main thread that a signal ends at once, by raising `Stopped`."""
+        """Mark a phase of the main thread that a signal ends at once, by raising `StopRequested`."""
         if self.requested:
-            raise Stopped
+            raise StopRequested
         self._interruptible = True
         try:
             yield
         except Exception:
             if self._interrupted:
                 # C code that was interrupted, as in an import, may have made an error of its own of it.
-                raise Stopped from None
+                raise StopRequested from None
             raise
         finally:
             self._interruptible = False
@@ -96,7 +96,7 @@ class StopSignal:
         if self._interruptible:
             self._interruptible = False
             self._interrupted = True
-            raise Stopped
+            raise StopRequested
 
     def _wake(self) -> None:
         while number := os.read(self._read_end, 1):

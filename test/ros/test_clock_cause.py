@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
 
-from imgu_ros.ros.causes import Kind, other_clock
+from imgu_ros.ros.causes import CauseKind, other_clock
 from imgu_ros.ros.meters import LatencyMeter
 
 
@@ -28,7 +28,7 @@ def ages(*seconds: float) -> LatencyMeter:
 @pytest.mark.parametrize(("age_s", "said"), [(-1.7e9, "1700000000 s ahead of /clock"), (500.0, "500 s behind /clock")])
 def test_stamps_of_another_clock(age_s: float, said: str) -> None:
     (cause,) = other_clock(node(use_sim_time=True), ages(age_s, age_s, 0.01))
-    assert cause.kind is Kind.STAMPS
+    assert cause.kind is CauseKind.STAMPS
     assert said in cause.text and "use_sim_time" in cause.text
     # A recording that is played without a clock is as old as it is.
     assert not list(other_clock(node(use_sim_time=False), ages(age_s)))

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from imgu_ros.ros.causes import Kind
+from imgu_ros.ros.causes import CauseKind
 from imgu_ros.ros.graph_checks import Wanted, is_latched, similar_topics, why_not_offered, why_not_served
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.qos import image_qos, latched_qos, output_qos
@@ -59,7 +59,7 @@ def test_topics_that_may_be_meant(nodes):
     assert of_other_type[0].topic == "/camera/image_row"
     cause = why_not_offered(asking, Wanted("/camera/image_raww", IMAGE, image_qos(), "image_raw"))
     assert cause is not None
-    assert cause.kind is Kind.NO_PUBLISHER
+    assert cause.kind is CauseKind.NO_PUBLISHER
     assert cause.text.endswith(": remap with -r image_raw:=/camera/image_raw")
 
 
@@ -78,14 +78,14 @@ def test_quality_of_service_on_either_side(nodes):
         cause = why_not_offered(asking, Wanted(topic, IMAGE, qos, "image_raw"))
         assert (cause is None) == (said is None), (topic, cause)
         if cause is not None:
-            assert cause.kind is Kind.QOS
+            assert cause.kind is CauseKind.QOS
             assert cause.text.startswith(f"only publishers with incompatible QoS on {topic}: /driver offers ")
             assert said in cause.text
     assert not why_not_served(driver, driver.publishers)
     asking.create_subscription(message_class(IMAGE), "/b", print, latched_qos())
     until(lambda: driver.count_subscribers("/b"))
     (cause,) = why_not_served(driver, driver.publishers)
-    assert cause.kind is Kind.LISTENER
+    assert cause.kind is CauseKind.LISTENER
     assert "listener /asking of /b cannot be served" in cause.text
     assert "set qos_overrides./b.publisher.durability to transient_local" in cause.text
 
@@ -104,7 +104,7 @@ def test_the_same_images_under_another_transport(nodes, wanted, type_name, there
     publish(driver, there, of_type)
     until(lambda: asking.get_publishers_info_by_topic(there) and similar_topics(asking, wanted, type_name))
     cause = why_not_offered(asking, Wanted(wanted, type_name, image_qos(), "image_raw"))
-    assert cause is not None and cause.kind is Kind.NO_PUBLISHER
+    assert cause is not None and cause.kind is CauseKind.NO_PUBLISHER
     assert cause.text == f"no publisher on {wanted}; {there} has one: set image_transport to {transport}"
 
 

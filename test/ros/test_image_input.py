@@ -18,7 +18,7 @@ from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import decode_image, image_message
 from imgu_ros.ros import frame_input as input_module
-from imgu_ros.ros.causes import Kind
+from imgu_ros.ros.causes import CauseKind
 from imgu_ros.ros.image_input import ImageInput, input_topics
 from imgu_ros.ros.input_causes import image_causes
 from imgu_ros.ros.messages import make_message, message_class
@@ -115,7 +115,7 @@ def test_bytes_that_are_no_message_are_passed_over(make_node):
         source._on_camera_info(damaged)
     assert source.arrivals.count == source.infos.count == 0
     (cause,) = image_causes(node, source, time.monotonic())
-    assert cause.kind is Kind.REJECTED
+    assert cause.kind is CauseKind.REJECTED
     assert cause.text.startswith("/image_raw: sensor_msgs/msg/Image: ")
     assert cause.text.endswith("need bytes of this type")
     source._on_image(whole)

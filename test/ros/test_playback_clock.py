@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from imgu_ros.ros.playback_clock import PlaybackClock
+from imgu_ros.ros.playback_timing import PlaybackClock
 
 PERIOD_S = 0.01
 START_NS = 1_600_000_000_000_000_000

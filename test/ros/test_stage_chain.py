@@ -39,7 +39,7 @@ from imgu_ros.ros.stages.homography import INLIERS, HomographyStage
 from imgu_ros.ros.stages.matcher import MatcherStage
 from imgu_ros.ros.stages.pose import PoseStage
 from imgu_ros.ros.stages.pyramid import LEVELS_INFO, PyramidStage
-from imgu_ros.ros.stages.stage import Stage
+from imgu_ros.ros.stages.stage import PipelineStage
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, default_targets, simulate_sequence
 from imgu_ros.vision.camera.intrinsics import DistortionModel, make_camera
 
@@ -49,7 +49,7 @@ OFF = {"tracking.enabled": False, "refinement.enabled": False, "search.thorough"
 class Told:
     """Stands for the publishers: every topic has a listener."""
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: PipelineStage) -> None:
         self._stage = stage
         self.messages: dict[str, Any] = {}
         self.result: Result | None = None
@@ -64,7 +64,7 @@ class Told:
         self.result = result
         names = [target.name for target in result]
         converter = ResultConverter(make_message, draw_result, names, OutputParameters.of(self._stage.parameters))
-        made = converter.messages(converter.frame(result), self._stage.choice.includes)
+        made = converter.messages(converter.frame(result), self._stage.selection.includes)
         self.messages |= {topic: one.message for one in made for topic in one.topics}
 
 
@@ -73,7 +73,7 @@ class Six:
 
     def __init__(self, parameters: Parameters, images: list[TargetImage]) -> None:
         self.parameters = parameters
-        self.stages: list[Stage] = [
+        self.stages: list[PipelineStage] = [
             DemosaicStage(), PyramidStage(), FeaturesStage(), MatcherStage(), HomographyStage(), PoseStage(),
         ]  # fmt: skip
         for stage in self.stages:

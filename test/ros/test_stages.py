@@ -116,7 +116,7 @@ def stages(imgu, world, prompt_s):
     """The six nodes in the camera's namespace; at the end each ends promptly and in order."""
     started = {name: imgu("node", name, *world.arguments, "-r", "__ns:=/cam") for name in STAGES}
     for name, command in started.items():
-        command.wait_for_line(f"{name}: takes /cam/")
+        command.wait_for_line(f"{name}: subscribes to /cam/")
     yield started
     for command in started.values():
         if command.process.poll() is None:
@@ -188,7 +188,7 @@ def test_a_stage_says_what_it_lacks_and_obeys_its_services(imgu, world, peer, pr
     foreign = "qos_overrides./image_color.publisher.depth"
     other = "qos_overrides./debug_image.publisher.depth"
     node = imgu("node", "matcher", *world.arguments, "-p", f"{foreign}:=3", "-p", f"{other}:=3")
-    node.wait_for_line("matcher: takes /keypoints")
+    node.wait_for_line("matcher: subscribes to /keypoints")
     node.wait_for_line(f"{foreign}: unknown parameter")
     node.wait_for_line(f"{other}: unknown parameter")
     node.wait_for_line("an override for another node?")

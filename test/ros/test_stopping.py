@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from imgu_ros.ros.stopping import Stopped, StopSignal
+from imgu_ros.ros.stopping import StopRequested, StopSignal
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -23,7 +23,7 @@ def test_a_signal_sets_the_flag_wakes_and_does_not_raise(number):
         assert woken.wait(2)
         assert stop.requested
         assert stop.wait(0)
-        with pytest.raises(Stopped), stop.interruptible():
+        with pytest.raises(StopRequested), stop.interruptible():
             pytest.fail("a phase began after the request")
     assert signal.getsignal(number) is before
 
@@ -32,18 +32,18 @@ def test_a_signal_ends_an_interruptible_phase_at_once():
     with StopSignal() as stop:
         threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
         started = time.monotonic()
-        with pytest.raises(Stopped), stop.interruptible():
+        with pytest.raises(StopRequested), stop.interruptible():
             time.sleep(5)
         assert time.monotonic() - started < 2
         time.sleep(0.05)  # no longer interruptible
 
 
 def test_what_an_interrupted_import_makes_of_the_signal_is_a_stop_too():
-    with pytest.raises(Stopped), StopSignal() as stop, stop.interruptible():
+    with pytest.raises(StopRequested), StopSignal() as stop, stop.interruptible():
         try:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(5)
-        except Stopped:
+        except StopRequested:
             raise ImportError("librcl.so: initialization failed", name="rclpy") from None
 
 

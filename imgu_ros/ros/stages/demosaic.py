@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `demosaic`: raw images in, colour, grey, and the picture that keypoints are sought in out."""
+"""The node `demosaic`: raw images in; colour, grey, and the image in which keypoints are detected out."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from imgu_ros.ros.frame_input import CAMERA_INFO_TYPE
 from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.image_input import input_topics
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.qos import image_qos
 from imgu_ros.ros.stages.input import Feed, StageTopics
 from imgu_ros.ros.stages.node import run_stage
-from imgu_ros.ros.stages.stage import IMAGE_TYPE, Stage
+from imgu_ros.ros.stages.stage import IMAGE_TYPE, PipelineStage
 from imgu_ros.ros.stopping import StopSignal
 
 REDUCED = "reduced/image_mono"
@@ -37,13 +37,13 @@ def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
     return run_stage(DemosaicStage(), ros_arguments, stop)
 
 
-class DemosaicStage(Stage):
+class DemosaicStage(PipelineStage):
     """Develops raw frames."""
 
     name = "demosaic"
     takes = (_IN,)
     reads_camera = True
-    choice = Choice(
+    selection = TopicSelection(
         lambda topic: topic in ("image_color", "image_mono"),
         {REDUCED: IMAGE_TYPE, REDUCED_INFO: CAMERA_INFO_TYPE},
     )
@@ -53,7 +53,7 @@ class DemosaicStage(Stage):
         self._headers = HeaderChecks(*self._named)
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
-        """See `Stage.topics`."""
+        """See `PipelineStage.topics`."""
         known = input_topics(node, parameters.image_transport)
         if self._named != (known.image, known.camera_info):
             self._named = (known.image, known.camera_info)
@@ -62,7 +62,7 @@ class DemosaicStage(Stage):
         return StageTopics((Feed(_IN, known.image, known.image_type, image_qos()),), camera_info)
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """See `Stage.work`."""
+        """See `PipelineStage.work`."""
         p = self.parameters
         self._headers.add_image(job.messages[_IN])
         if job.camera_info is not None:
@@ -75,7 +75,7 @@ class DemosaicStage(Stage):
         if development.image is None:
             raise ImguError(development.reason)
         result = Result(frame, {}, developed=development.image)
-        # Before the others: it is made straight from the mosaic, as long as nobody has asked for more.
+        # First: it is reduced from the mosaic itself as long as no full-size image has been made.
         if outputs.listened(REDUCED) or outputs.listened(REDUCED_INFO):
             self._publish_reduced(result, development.image, outputs)
         outputs.publish(result)

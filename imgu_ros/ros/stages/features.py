@@ -21,11 +21,11 @@ from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import Result, StageClock
 from imgu_ros.ros.frame_worker import FrameMessages
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.pyramid import LEVELS, LEVELS_INFO
-from imgu_ros.ros.stages.stage import Stage, frame_without_image, picture_feed, reduced_info_beside
+from imgu_ros.ros.stages.stage import PipelineStage, frame_without_image, picture_feed, reduced_info_beside
 from imgu_ros.ros.stopping import StopSignal
 from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.extractor import DetectorDescriptor, FeatureExtractor, make_extractor
@@ -39,17 +39,17 @@ def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
     return run_stage(FeaturesStage(), ros_arguments, stop)
 
 
-class FeaturesStage(Stage):
+class FeaturesStage(PipelineStage):
     """Finds and describes keypoints."""
 
     name = "features"
     takes = (_FIRST,)
-    choice = Choice(lambda topic: topic == "keypoints", {})
+    selection = TopicSelection(lambda topic: topic == "keypoints", {})
     _parts: BuildCache | None = None
     _extractor: FeatureExtractor = DetectorDescriptor(extractor_options(Parameters()))
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
-        """See `Stage.use`."""
+        """See `PipelineStage.use`."""
         parts = BuildCache(self._parts)
         extractor = parts.make(make_extractor, extractor_options(parameters))
         super().use(parameters, images)
@@ -57,22 +57,22 @@ class FeaturesStage(Stage):
         self._parts, self._extractor = parts, extractor
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
-        """See `Stage.topics`."""
+        """See `PipelineStage.topics`."""
         levels = tuple(picture_feed(node, f"{LEVELS}{k}") for k in range(parameters.pyramid.levels))
         return StageTopics(levels, reduced_info_beside(node, levels[0], LEVELS_INFO))
 
     def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
-        """See `Stage.is_complete`: the size of level 0 tells how many there are."""
+        """See `PipelineStage.is_complete`: the size of level 0 tells how many there are."""
         if _FIRST not in messages:
             return False
         try:
             count = _level_count(_picture(messages[_FIRST]).shape, self.parameters)
         except ImguError:
-            return True  # `work` will say what is wrong with it
+            return True  # `work` raises the error
         return all(f"{LEVELS}{k}" in messages for k in range(count))
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """See `Stage.work`."""
+        """See `PipelineStage.work`."""
         first = _picture(job.messages[_FIRST])
         size = Covered(first.shape[1], first.shape[0])
         shown = size if job.camera_info is None else decode_covered(job.camera_info, size)
@@ -103,5 +103,5 @@ def _picture(message: Any) -> Image:
 
 @lru_cache(maxsize=8)
 def _level_count(shape: tuple[int, int], parameters: Parameters) -> int:
-    """Return how many levels `frame_pyramid` makes of a picture of `shape`."""
+    """Return how many levels `frame_pyramid` makes of an image of `shape`."""
     return len(frame_pyramid(Reduced(np.zeros(shape, np.uint8), np.array(shape[::-1])), parameters).levels)

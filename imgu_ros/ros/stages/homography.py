@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `homography`: tentative matches in, where the targets are in the image out."""
+"""The node `homography`: tentative matches in, homographies of the targets out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, StageClock, Status, by_name
 from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import (
@@ -54,33 +54,33 @@ def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
 
 
 class HomographyStage(TargetStage):
-    """Finds targets by their matches, looks whether they are there, and refines where they are."""
+    """Fits a homography to the matches of each target, verifies and refines it."""
 
     name = "homography"
     takes = (_MATCHES,)
     reads_camera = True
-    choice = Choice(
+    selection = TopicSelection(
         lambda topic: topic in ("homography", "status") or topic.rpartition("/")[2] == "outline", {INLIERS: CLOUD_TYPE}
     )
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
-        """See `Stage.topics`."""
+        """See `PipelineStage.topics`."""
         picture = picture_feed(node, _PICTURE)
         return StageTopics((cloud_feed(node, _MATCHES), picture), camera_info_beside(node, picture, parameters))
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
-        """See `Stage.use`."""
+        """See `PipelineStage.use`."""
         if parameters.matching.guided:
             raise ParameterError("matching.guided: true; need false in a stage node, which has no descriptors")
         super().use(parameters, images)
 
     def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
-        """See `Stage.is_complete`: without refinement the picture is done without where nobody publishes it."""
+        """See `PipelineStage.is_complete`: without refinement the image is not needed where it has no publisher."""
         spared = _PICTURE in absent and not self.parameters.refinement.enabled
         return _MATCHES in messages and (_PICTURE in messages or spared)
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """See `Stage.work`."""
+        """See `PipelineStage.work`."""
         header = decode_header(job.messages[_MATCHES])
         tentative = decode_target_matches(job.messages[_MATCHES])
         clock = StageClock()

@@ -28,11 +28,11 @@ _MOST_WAITING = 12
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """A topic that a stage takes.
+    """A topic that a stage subscribes to.
 
     Attributes
     ----------
-    name : as the stage calls it, and what is to be remapped for another topic
+    name : as the stage calls it; the left side of a remap rule
     topic : resolved
     type_name : "package/msg/Name"
     qos : of the subscription
@@ -46,13 +46,13 @@ class Feed:
 
 @dataclass(frozen=True, slots=True)
 class StageTopics:
-    """What a stage takes: its feeds, and the resolved topic of camera_info, "" for none."""
+    """Inputs of a stage: its feeds, and the resolved topic of camera_info, "" for none."""
 
     feeds: tuple[Feed, ...]
     camera_info: str = ""
 
 
-#: Whether messages, by the names of their feeds, are all that there will be; the second: feeds that nobody publishes.
+#: Returns whether the messages of a frame, by the names of their feeds, are complete; the second: absent feeds.
 IsComplete = Callable[[Mapping[str, Any], Set[str]], bool]
 
 

@@ -17,7 +17,7 @@ from imgu_ros.messages.header import decode_header
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.frame_worker import FrameMessages
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
 from imgu_ros.ros.stages.stage import TargetStage, cloud_feed, frame_without_image
@@ -38,12 +38,12 @@ class MatcherStage(TargetStage):
 
     name = "matcher"
     takes = (_IN,)
-    choice = Choice(lambda topic: topic == "matches", {})
+    selection = TopicSelection(lambda topic: topic == "matches", {})
     needs_features = True
     _seeker: ReferenceDetector | None = None
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
-        """See `Stage.topics`."""
+        """See `PipelineStage.topics`."""
         return StageTopics((cloud_feed(node, _IN),))
 
     def _prepare(self, parameters: Parameters, parts: BuildCache) -> None:
@@ -53,7 +53,7 @@ class MatcherStage(TargetStage):
         return [each for each in self.targets if isinstance(each, PlanarReference)]
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """See `Stage.work`."""
+        """See `PipelineStage.work`."""
         message = job.messages[_IN]
         keypoints, descriptors = decode_keypoints(message)
         if self._seeker is None or not self._planar():
@@ -63,7 +63,7 @@ class MatcherStage(TargetStage):
             got = "none" if descriptors is None else f"{descriptors.shape[1]} x {descriptors.dtype}"
             raise EncodingError(f"descriptors: {got}; need {known.shape[1]} x {known.dtype}: the same descriptor.kind")
         found = list(self._seeker.match(Descriptions(keypoints, descriptors)))
-        # Nothing for all others is told too: so it is heard that the frame was looked at.
+        # The others are published without matches, so that the next stage knows that the frame was searched.
         sought = {result.name for result in found}
         found += [
             ReferenceResult(each.name, each.number, Status.LOST, matches=_NONE)

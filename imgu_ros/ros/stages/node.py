@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.messages.diagnostics import HealthEntry, Level
+from imgu_ros.messages.diagnostics import HealthEntry, HealthLevel
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.remarks import Remarks
 from imgu_ros.ros.background_services import BackgroundAction
@@ -19,11 +19,11 @@ from imgu_ros.ros.middleware import full_memory
 from imgu_ros.ros.process import run_node
 from imgu_ros.ros.reach import domain_text
 from imgu_ros.ros.stages.input import StageInput
-from imgu_ros.ros.stages.stage import Stage
+from imgu_ros.ros.stages.stage import PipelineStage
 from imgu_ros.ros.stopping import StopSignal
 
 
-def run_stage(stage: Stage, ros_arguments: Sequence[str], stop: StopSignal) -> int:
+def run_stage(stage: PipelineStage, ros_arguments: Sequence[str], stop: StopSignal) -> int:
     """Run a stage's node until the process is asked to stop; return the exit code.
 
     Raises
@@ -37,8 +37,8 @@ def run_stage(stage: Stage, ros_arguments: Sequence[str], stop: StopSignal) -> i
 class StageNode(ManagedNode[StageInput, FrameWorker]):
     """Topics of earlier stages in, those of this stage out."""
 
-    def __init__(self, stage: Stage, stop: StopSignal) -> None:
-        super().__init__(stage.name, stop, stage.choice)
+    def __init__(self, stage: PipelineStage, stop: StopSignal) -> None:
+        super().__init__(stage.name, stop, stage.selection)
         self._stage = stage
         self._images: tuple[TargetImage, ...] = ()
         self._used: Parameters | None = None
@@ -172,7 +172,7 @@ def stage_health(
         "absent": ", ".join(sorted(source.absent)),
         "publishers_with_incompatible_qos": source.counters.incompatible,
     }
-    level = Level.WARN if reason else Level.OK
+    level = HealthLevel.WARN if reason else HealthLevel.OK
     return [
         HealthEntry(f"{state.name}: output", level, rest or reason or "works", output),
         HealthEntry(f"{state.name}: input", level, "not subscribed" if rest else reason or "frames come in", taken),

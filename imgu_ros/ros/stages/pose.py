@@ -24,7 +24,7 @@ from imgu_ros.reference.size_checks import SizeChecks
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Status, by_name
 from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.stages.homography import INLIERS
 from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
@@ -56,7 +56,7 @@ class PoseStage(TargetStage):
     name = "pose"
     takes = (_HOMOGRAPHY, INLIERS)
     reads_camera = True
-    choice = Choice(
+    selection = TopicSelection(
         lambda topic: topic == "/tf" or topic.rpartition("/")[2] in _GIVEN,
         {STATUS: "diagnostic_msgs/msg/DiagnosticArray"},
     )
@@ -71,24 +71,24 @@ class PoseStage(TargetStage):
         self._sizes = SizeChecks(self.targets)
 
     def reset(self) -> None:
-        """See `Stage.reset`."""
+        """See `PipelineStage.reset`."""
         self._check.reset()
         self._last_ns = None
         self._sizes = SizeChecks(self.targets)
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
-        """See `Stage.topics`."""
+        """See `PipelineStage.topics`."""
         homography = cloud_feed(node, _HOMOGRAPHY)
         return StageTopics((homography, cloud_feed(node, INLIERS)), camera_info_beside(node, homography, parameters))
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """See `Stage.work`."""
+        """See `PipelineStage.work`."""
         header = decode_header(job.messages[_HOMOGRAPHY])
         agreeing = decode_target_matches(job.messages[INLIERS])
         counts = {index: len(matches.template_xy) for index, matches in agreeing.items()}
         estimates = decode_estimates(job.messages[_HOMOGRAPHY], counts)
         sharp = decode_sharp(job.messages[_HOMOGRAPHY])
-        # The image's size is known where the picture is: the homographies say whether camera_info fits it.
+        # The node `homography` knows the image's size: its message says whether camera_info fits it.
         read = self.reading.camera(job.camera_info, None)
         if read.camera is not None and not decode_calibrated(job.messages[_HOMOGRAPHY]):
             read = CameraReading(None, _NOT_THE_IMAGES if self.reading.file_camera is None else _NOT_THERE_TOO)

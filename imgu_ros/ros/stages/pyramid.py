@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `pyramid`: a grey picture in, its pyramid out."""
+"""The node `pyramid`: a grey image in, its pyramid out."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from imgu_ros.result import Result
 from imgu_ros.ros.frame_input import CAMERA_INFO_TYPE
 from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO
 from imgu_ros.ros.stages.input import StageTopics
 from imgu_ros.ros.stages.node import run_stage
-from imgu_ros.ros.stages.stage import Stage, picture_feed, reduced_info_beside
+from imgu_ros.ros.stages.stage import PipelineStage, picture_feed, reduced_info_beside
 from imgu_ros.ros.stopping import StopSignal
 
 LEVELS = "pyramid/level_"
@@ -34,22 +34,22 @@ def run(ros_arguments: Sequence[str], stop: StopSignal) -> int:
     return run_stage(PyramidStage(), ros_arguments, stop)
 
 
-class PyramidStage(Stage):
+class PyramidStage(PipelineStage):
     """Builds pyramids."""
 
     name = "pyramid"
     takes = (REDUCED,)
-    choice = Choice(lambda topic: topic.startswith(LEVELS), {LEVELS_INFO: CAMERA_INFO_TYPE})
+    selection = TopicSelection(lambda topic: topic.startswith(LEVELS), {LEVELS_INFO: CAMERA_INFO_TYPE})
 
     def topics(self, node: Node, parameters: Parameters) -> StageTopics:
-        """See `Stage.topics`."""
+        """See `PipelineStage.topics`."""
         picture = picture_feed(node, REDUCED)
         return StageTopics((picture,), reduced_info_beside(node, picture, REDUCED_INFO))
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """See `Stage.work`."""
+        """See `PipelineStage.work`."""
         frame = decode_frame(job.messages[REDUCED], None, rectified=False)
-        # Whoever made the picture has developed it.
+        # The image was developed by the stage that published it.
         developed = develop(frame.image, RawParameters(), DemosaicParameters())
         height, width = developed.shape
         size = Covered(width, height)

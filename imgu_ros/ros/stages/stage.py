@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a stage of the chain is when it has a node of its own: what it takes, what it gives, and what it does."""
+"""A stage of the pipeline: its inputs, its outputs, and how it processes a frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references, prepare_references
 from imgu_ros.ros.frame_worker import FrameMessages
-from imgu_ros.ros.outputs import Choice, Outputs
+from imgu_ros.ros.outputs import Outputs, TopicSelection
 from imgu_ros.ros.qos import output_qos
 from imgu_ros.ros.stages.input import Feed, StageTopics
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
@@ -33,25 +33,25 @@ _CLOUD_DEPTH = 10
 NO_CAMERA = CameraReading(None)
 
 
-class Stage(ABC):
-    """A stage of the chain, for a node of its own.
+class PipelineStage(ABC):
+    """A stage of the pipeline, for a node of its own.
 
     `work` is called in the worker's thread, everything else between two frames.
 
     Attributes
     ----------
     name : the node's
-    takes : the names of the feeds without which there is nothing to work on
-    choice : the topics that it gives
-    needs_targets : whether it has to know the targets
+    takes : the names of the feeds that every frame needs
+    selection : the topics that it publishes
+    needs_targets : whether it needs the targets
     reads_camera : whether it reads raw frames or their camera
-    reading : how it does
-    remarks : what people should know of the last frame
+    reading : how frames are decoded
+    remarks : of the last frame, for people
     """
 
     name: ClassVar[str]
     takes: ClassVar[tuple[str, ...]]
-    choice: ClassVar[Choice]
+    selection: ClassVar[TopicSelection]
     needs_targets: ClassVar[bool] = False
     reads_camera: ClassVar[bool] = False
     reading: FrameReading = FrameReading()
@@ -64,54 +64,54 @@ class Stage(ABC):
 
     @abstractmethod
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
-        """Work on the messages of one stamp and publish what comes out.
+        """Process the messages of one frame and publish the result.
 
         Raises
         ------
         ImguError
-            If they cannot be read or worked on.
+            If they cannot be decoded or processed.
         """
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
-        """Work with these parameters and targets from now on.
+        """Use these parameters and targets from the next frame on.
 
         Raises
         ------
         ImguError
-            If that cannot be; then nothing changes.
+            If they cannot be used; then nothing changes.
         """
         self.reading = self._reading_for(parameters)
         self.parameters = parameters
 
     def read_again(self, parameters: Parameters) -> None:
-        """Read the camera's file anew; FileError when that cannot be: the old one stays."""
+        """Read the camera's file again; FileError when it cannot be read: the old content stays."""
         if self.reads_camera:
             self.reading = frame_reading(ReadingParameters.of(parameters))
 
     def reset(self) -> None:  # noqa: B027
-        """Forget what earlier frames told: most stages remember nothing."""
+        """Drop the state of earlier frames: most stages have none."""
 
     def _reading_for(self, parameters: Parameters) -> FrameReading:
         wanted = ReadingParameters.of(parameters)
         return frame_reading(wanted, self.reading) if self.reads_camera else self.reading
 
     def is_complete(self, messages: Mapping[str, Any], absent: Set[str]) -> bool:
-        """Return whether these messages of one stamp, by the names of their feeds, are enough to work on.
+        """Return whether these messages of one frame, by the names of their feeds, are complete.
 
         Parameters
         ----------
         messages : what has come
-        absent : feeds that nobody publishes
+        absent : feeds without a publisher
         """
         return all(name in messages for name in self.takes)
 
 
-class TargetStage(Stage):
-    """A stage that knows the targets.
+class TargetStage(PipelineStage):
+    """A stage that uses the targets.
 
     Attributes
     ----------
-    needs_features : whether it has to know what they look like to a detector
+    needs_features : whether it needs their features
     targets : the known ones
     """
 
@@ -121,7 +121,7 @@ class TargetStage(Stage):
     _parts: BuildCache | None = None
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
-        """See `Stage.use`; what does not depend on the parameters that have changed is used again."""
+        """See `PipelineStage.use`; parts that do not depend on changed parameters are reused."""
         reading = self._reading_for(parameters)
         parts = BuildCache(self._parts)
         self.targets = (prepare_references if self.needs_features else make_references)(images, parameters, parts)
@@ -131,11 +131,11 @@ class TargetStage(Stage):
         self.reading, self.parameters = reading, parameters
 
     def _prepare(self, parameters: Parameters, parts: BuildCache) -> None:
-        """Make what the stage needs of its targets."""
+        """Prepare the targets for the stage."""
 
 
 def picture_feed(node: Node, name: str) -> Feed:
-    """Return a feed of pictures of another stage, reliable: across a network a large one would seldom arrive whole."""
+    """Return a feed of images of another stage, reliable: across a network a large one would seldom arrive complete."""
     return Feed(name, node.resolve_topic_name(name), IMAGE_TYPE, output_qos())
 
 
@@ -150,7 +150,7 @@ def camera_info_beside(node: Node, feed: Feed, parameters: Parameters) -> str:
 
 
 def reduced_info_beside(node: Node, feed: Feed, own: str) -> str:
-    """Return the topic beside a feed's that says what part of a frame it shows, unless `own` is remapped itself."""
+    """Return the topic beside a feed's that gives the part of a frame it shows, unless `own` is remapped itself."""
     topic = node.resolve_topic_name(own)
     if topic == node.resolve_topic_name(own, only_expand=True):
         return feed.topic.rpartition("/")[0] + "/camera_info"
@@ -158,12 +158,12 @@ def reduced_info_beside(node: Node, feed: Feed, own: str) -> str:
 
 
 def frame_without_image(header: Header, read: CameraReading = NO_CAMERA) -> Frame:
-    """Return the frame of which other stages have seen the pixels, with what became of its camera_info."""
+    """Return a frame without its image, which other stages have processed, with its camera."""
     return Frame(_NO_IMAGE, header.stamp_ns, header.frame_id, read.camera, read.reason, read.remarks)
 
 
 def unusable(read: CameraReading) -> tuple[str, ...]:
-    """Return the remark that a camera_info cannot be used; empty when it can, or there is none."""
+    """Return the remark for a camera_info that cannot be used; empty when it can, or there is none."""
     return (f"uncalibrated: {read.reason}; homographies, no poses",) if read.reason else ()
 
 

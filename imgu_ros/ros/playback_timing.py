@@ -1,10 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was played, and how well the timing was kept."""
+"""Timing of playback: when recorded messages are published, and the report of what was played."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+
+#: Share of the recorded interval of two messages that passes between them while the player is late. Sending all late
+#: messages at once would overrun subscribers.
+_HURRY = 0.5
+
+
+class PlaybackClock:
+    """The timing of a recording, from the first message on; delays are made up at twice the speed.
+
+    Parameters
+    ----------
+    rate : times the recorded speed, > 0
+    clock : tells the time, s
+    """
+
+    def __init__(self, rate: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate = rate
+        self._clock = clock
+        self._first: tuple[int, float] | None = None
+        self._last = (0, 0.0)
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether there was a message."""
+        return self._first is not None
+
+    def earliest(self, time_ns: int) -> float:
+        """Return when, s of the clock, the message recorded at `time_ns` may be published; the first one: now."""
+        if self._first is None:
+            self._first = (time_ns, self._clock())
+            self._last = self._first
+        since_last_s = max(0, time_ns - self._last[0]) * 1e-9 / self._rate
+        return max(self._due(time_ns), self._last[1] + _HURRY * since_last_s)
+
+    def published(self, time_ns: int) -> float:
+        """Note that the message recorded at `time_ns` is published now; return how late that is, s."""
+        now = self._clock()
+        self._last = (time_ns, now)
+        return max(0.0, now - self._due(time_ns))
+
+    def _due(self, time_ns: int) -> float:
+        assert self._first is not None
+        first_ns, origin = self._first
+        return origin + (time_ns - first_ns) * 1e-9 / self._rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
