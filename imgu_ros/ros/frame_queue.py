@@ -31,7 +31,7 @@ class FrameQueue(Generic[T]):
     Senders are treated separately, and the one that used the least of the worker's time recently is served first; a
     new one is served last. The time of other senders' items does not count as delay, so a sender of slow items does not
     cost the others their frames, up to twelve items in all. Eight senders are distinguished; all others share one place
-    until one of the eight has been silent for two seconds, so that endlessly many names do not displace a steady sender.
+    until one of the eight has been silent for two seconds, so that endlessly many names displace no steady sender.
 
     Parameters
     ----------
