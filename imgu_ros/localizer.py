@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.reference import Reference
-from imgu_ros.reference_kinds import make_detectors
+from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference_kinds import make_detectors, prepare_references
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, StageClock, Status, by_name
 from imgu_ros.track.patch_alignment import PatchAlignment
 from imgu_ros.track.tracker import follow, located
@@ -213,3 +215,50 @@ def _tracked(reference: Reference, alignment: PatchAlignment) -> ReferenceResult
         matches=matches,
         confirmed_share=alignment.agreeing_share,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedLocalizer:
+    """A localizer that is ready for its first frame, and what it was made of.
+
+    Attributes
+    ----------
+    localizer : as made
+    images, parameters : of these
+    cache : what a localizer with other parameters can use again
+    """
+
+    localizer: Localizer
+    images: tuple[TargetImage, ...]
+    parameters: Parameters
+    cache: BuildCache
+
+    @property
+    def references(self) -> tuple[Reference, ...]:
+        """The known references."""
+        return self.localizer.references
+
+
+def prepare_localizer(
+    images: Iterable[TargetImage], parameters: Parameters, before: PreparedLocalizer | None = None
+) -> PreparedLocalizer:
+    """Return a localizer that is ready for its first frame.
+
+    Parameters
+    ----------
+    images : of the references
+    parameters : all parameters
+    before : what was computed for it of the same images and equal values is used again
+
+    Raises
+    ------
+    ImguError
+        If an image cannot serve as a target.
+    """
+    images = tuple(images)
+    cache = BuildCache(None if before is None else before.cache)
+    localizer = Localizer(parameters, prepare_references(images, parameters, cache), cache)
+    # Now, before frames come: later the first thorough search would delay them.
+    localizer.prepare()
+    cache.settle()
+    return PreparedLocalizer(localizer, images, parameters, cache)

@@ -40,13 +40,13 @@ NUMERIC = {"numpy", "scipy", "cv2"}
 ORDER = (
     "shown_text", "errors", "arguments", "types", "file_access", "vision", "config", "frame", "image",
     "result", "reasons", "build_cache", "pose", "reference", "track", "camera_memory", "detect",
-    "reference_kinds", "localizer", "localizer_builder", "remarks", "process_memory", "stop_signals", "threads",
+    "reference_kinds", "localizer", "remarks", "process_memory", "stop_signals", "threads",
     "image_files", "messages", "files", "simulate", "report", "bags", "replay", "bench", "ros", "cli",
 )  # fmt: skip
 #: From a frame to a result: knows no message, no file and no recording.
 PIPELINE = {
     "frame", "image", "result", "reasons", "build_cache", "reference", "pose", "track", "detect",
-    "camera_memory", "reference_kinds", "localizer", "localizer_builder",
+    "camera_memory", "reference_kinds", "localizer",
 }  # fmt: skip
 
 #: What a room may import from outside the standard library, where that is limited.

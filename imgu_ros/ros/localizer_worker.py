@@ -14,8 +14,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
-from imgu_ros.localizer import rejected
-from imgu_ros.localizer_builder import Built, build
+from imgu_ros.localizer import PreparedLocalizer, prepare_localizer, rejected
 from imgu_ros.messages.header import Header, decode_header
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.size_checks import SizeChecks
@@ -109,7 +108,7 @@ class LocalizerWorker(FrameWorker):
         self.unknown_encodings = 0
         self._parameters = parameters
         self._handlers = handlers
-        self._built: Built | None = None
+        self._built: PreparedLocalizer | None = None
         self._reading = FrameReading()
         self._read_for: Parameters | None = None
         self._reading_problem = ""
@@ -146,7 +145,9 @@ class LocalizerWorker(FrameWorker):
         """Why frames are not decoded as the parameters in force say; empty when they are."""
         return self._reading_problem
 
-    def build(self, images: Sequence[TargetImage], parameters: Parameters | None = None) -> Built:
+    def prepare_localizer(
+        self, images: Sequence[TargetImage], parameters: Parameters | None = None
+    ) -> PreparedLocalizer:
         """Return a localizer for these targets; frames are processed meanwhile.
 
         Parameters
@@ -159,19 +160,19 @@ class LocalizerWorker(FrameWorker):
         ImguError
             If an image cannot serve as a target.
         """
-        return build(images, self._parameters() if parameters is None else parameters, self._built)
+        return prepare_localizer(images, self._parameters() if parameters is None else parameters, self._built)
 
     def read_with(self, reading: FrameReading, parameters: Parameters) -> None:
         """Decode frames this way from the next one on, as long as these parameters are in force."""
         with self.between_frames():
             self._reading, self._read_for, self._reading_problem = reading, parameters, ""
 
-    def use(self, built: Built) -> None:
+    def use(self, built: PreparedLocalizer) -> None:
         """Use this localizer from the next frame on; tracks of targets that stay the same are kept."""
         with self.between_frames():
             self._rebuilder.forget()
             if self._built is not None:
-                built.chain.continue_from(self._built.chain)
+                built.localizer.continue_from(self._built.localizer)
             self._built = built
             self.sizes = SizeChecks(built.references)
             self._last = None
@@ -188,7 +189,7 @@ class LocalizerWorker(FrameWorker):
         with self.between_frames():
             self._take_over()
             if self._built is not None:
-                self._built.chain.reset()
+                self._built.localizer.reset()
             self.failures.clear()
 
     def drop(self) -> None:
@@ -215,7 +216,7 @@ class LocalizerWorker(FrameWorker):
             self.unknown_encodings += str(error).startswith("encoding:")
             self._handlers.rejected(self._rejected_result(decode_header(given.message), str(error)))
             return
-        result = self._built.chain.process(frame, with_keypoints=self._handlers.needs_keypoints())
+        result = self._built.localizer.process(frame, with_keypoints=self._handlers.needs_keypoints())
         self.figures.count_rejected(result.reason)
         self._last = result
         self.failures.add(result, time.monotonic())
@@ -229,7 +230,7 @@ class LocalizerWorker(FrameWorker):
         """Use the localizer that was built for changed parameters, if any, with the tracks of the old one."""
         built = self._rebuilder.take()
         if built is not None and self._built is not None and built.images is self._built.images:
-            built.chain.continue_from(self._built.chain)
+            built.localizer.continue_from(self._built.localizer)
             self._built = built
 
     def _follow_reading(self) -> None:

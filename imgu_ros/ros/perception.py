@@ -10,7 +10,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
 from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.target_images import load_target_images
-from imgu_ros.localizer_builder import Built
+from imgu_ros.localizer import PreparedLocalizer
 from imgu_ros.messages.diagnostics import HealthEntry
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.remarks import Remarks
@@ -83,7 +83,7 @@ class PerceptionNode(ManagedNode[ImageInput, LocalizerWorker]):
             f"({domain_text(self)})"
         )
 
-    def _adopt(self, built: Built) -> None:
+    def _adopt(self, built: PreparedLocalizer) -> None:
         """Search for these targets from the next frame on, and have a publisher for each of their topics."""
         with self._input.standstill.excused(), self._worker.between_frames():
             self._worker.use(built)
@@ -159,11 +159,11 @@ class PerceptionNode(ManagedNode[ImageInput, LocalizerWorker]):
         staged = self._server.staged()
         reading = frame_reading(ReadingParameters.of(staged))  # the file may have changed
 
-        def work() -> Built:
+        def work() -> PreparedLocalizer:
             images = load_target_images(staged.targets, self._log_warning, limits=staged.limits)
             return self._worker.build(images, staged)
 
-        def finish(built: Built) -> str:
+        def finish(built: PreparedLocalizer) -> str:
             self._server.reload(staged)
             self._adopt(built)
             self._worker.read_with(reading, staged)
@@ -177,7 +177,7 @@ class PerceptionNode(ManagedNode[ImageInput, LocalizerWorker]):
             raise ImguError("view: no frame yet; need images, and a subscriber to any output")
         view = TargetImage("view", last.developed.grey, 0.0, last.developed.is_linear)
 
-        def finish(built: Built) -> str:
+        def finish(built: PreparedLocalizer) -> str:
             self._adopt(built)
             stamp_ns = last.frame.stamp_ns
             return f"target: view, the frame at {stamp_ns} ns, its size unknown; ~/reload brings back the others"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError
-from imgu_ros.localizer_builder import Built, build
+from imgu_ros.localizer import PreparedLocalizer, prepare_localizer
 from imgu_ros.threads import quick_thread_switches
 
 #: The longest pause between two builds, s.
@@ -30,11 +30,11 @@ class Rebuilder:
         self._lock = threading.Lock()
         self._wanted: _Order | None = None
         self._tried: Parameters | None = None
-        self._done: Built | None = None
+        self._done: PreparedLocalizer | None = None
         self._thread: threading.Thread | None = None
         self._closed = threading.Event()
 
-    def ask(self, before: Built, parameters: Parameters) -> None:
+    def ask(self, before: PreparedLocalizer, parameters: Parameters) -> None:
         """Ask for a localizer like `before` with other parameters; returns at once, and may be called repeatedly."""
         with self._lock:
             if parameters is self._tried or self._closed.is_set():
@@ -44,7 +44,7 @@ class Rebuilder:
                 self._thread = threading.Thread(target=self._run, name="rebuilder", daemon=True)
                 self._thread.start()
 
-    def take(self) -> Built | None:
+    def take(self) -> PreparedLocalizer | None:
         """Return the localizer built since the last call; None when there is none."""
         with self._lock:
             done, self._done = self._done, None
@@ -75,7 +75,7 @@ class Rebuilder:
 
     def _make(self, order: _Order) -> None:
         try:
-            built = build(order.before.images, order.parameters, order.before)
+            built = prepare_localizer(order.before.images, order.parameters, order.before)
         except ImguError as error:
             self._failed(f"parameters: {error}; the chain goes on with the old ones")
         except Exception as error:
@@ -99,5 +99,5 @@ class Rebuilder:
 class _Order:
     """A localizer to build: like `before`, with these parameters."""
 
-    before: Built
+    before: PreparedLocalizer
     parameters: Parameters

@@ -150,15 +150,15 @@ def test_it_finds_the_target(
 def test_its_weights_are_made_once(
     target_images: tuple[TargetImage, ...], one_target_frames: tuple[SimulatedFrame, ...]
 ) -> None:
-    from imgu_ros.localizer_builder import build
+    from imgu_ros.localizer import prepare_localizer
 
     parameters = parameters_from(CHOSEN)
-    built = build(target_images, parameters)
+    built = prepare_localizer(target_images, parameters)
     made = Layer.made
     for simulated in one_target_frames[:2]:
-        built.chain.process(simulated.frame)
-    again = build(target_images, parameters_from({"homography.threshold_px": 2.0}, parameters), built)
-    again.chain.process(one_target_frames[0].frame)
+        built.localizer.process(simulated.frame)
+    again = prepare_localizer(target_images, parameters_from({"homography.threshold_px": 2.0}, parameters), built)
+    again.localizer.process(one_target_frames[0].frame)
     assert made == Layer.made == 1
 
 

@@ -17,8 +17,7 @@ from imgu_ros.config.parameters import Declaration, declaration, declarations
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
-from imgu_ros.localizer import Localizer
-from imgu_ros.localizer_builder import Built, build
+from imgu_ros.localizer import Localizer, PreparedLocalizer, prepare_localizer
 from imgu_ros.reference import features as target_features
 from imgu_ros.reference import templates as targets
 from imgu_ros.reference.templates import TargetImage
@@ -106,21 +105,21 @@ def frames(images: tuple[TargetImage, ...]) -> tuple[Frame, ...]:
 
 
 @pytest.fixture(scope="module")
-def prepared(images: tuple[TargetImage, ...]) -> Built:
-    return build(images, BASE)
+def prepared(images: tuple[TargetImage, ...]) -> PreparedLocalizer:
+    return prepare_localizer(images, BASE)
 
 
 @pytest.fixture
-def tracking(prepared: Built, frames: tuple[Frame, ...]) -> Built:
+def tracking(prepared: PreparedLocalizer, frames: tuple[Frame, ...]) -> PreparedLocalizer:
     """A chain that has seen four frames, and all of whose parts are made."""
-    prepared.chain.reset()
-    statuses = [prepared.chain.process(frame).first.status for frame in frames[:4]]
+    prepared.localizer.reset()
+    statuses = [prepared.localizer.process(frame).first.status for frame in frames[:4]]
     assert statuses == [Status.DETECTED, *[Status.TRACKED] * 3]
     return prepared
 
 
 @pytest.fixture
-def made(tracking: Built, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def made(tracking: PreparedLocalizer, monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """Counts what is made of targets from now on."""
     counts: Counter[str] = Counter()
 
@@ -148,13 +147,17 @@ def corners(result: Result, width: int, height: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", live())
 def test_a_change_makes_anew_what_depends_on_it_and_keeps_the_track(
-    name: str, tracking: Built, frames: tuple[Frame, ...], images: tuple[TargetImage, ...], made: Counter[str]
+    name: str,
+    tracking: PreparedLocalizer,
+    frames: tuple[Frame, ...],
+    images: tuple[TargetImage, ...],
+    made: Counter[str],
 ) -> None:
     parameters = parameters_from({name: other_value(declaration(name))}, BASE)
     assert parameters != BASE
-    changed = build(images, parameters, tracking)
-    changed.chain.continue_from(tracking.chain)
-    went_on = [changed.chain.process(frame) for frame in frames[4:6]]
+    changed = prepare_localizer(images, parameters, tracking)
+    changed.localizer.continue_from(tracking.localizer)
+    went_on = [changed.localizer.process(frame) for frame in frames[4:6]]
     depends = DEPENDS.get(name, set())
     assert made["descriptions"] == sum({FRONT: 1, CLOSE: 1, THOROUGH: 5}.get(part, 0) for part in depends)
     assert {part for part in (PYRAMIDS, CORNERS, PATCHES) if made[part]} == depends - DESCRIBED
@@ -169,10 +172,10 @@ def test_a_change_makes_anew_what_depends_on_it_and_keeps_the_track(
         alone = name == "refinement.enabled"
         assert_allclose(corners(mine, *size), corners(other, *size), atol=5.0 if alone else 0.1)
     # From the next detection on there is no difference at all.
-    changed.chain.reset()
+    changed.localizer.reset()
     fresh.reset()
     for frame in frames[6:]:
-        mine, other = (chain.process(frame).first for chain in (changed.chain, fresh))
+        mine, other = (chain.process(frame).first for chain in (changed.localizer, fresh))
         assert mine.status is other.status
         assert mine.homography is not None and other.homography is not None
         assert_array_equal(mine.homography.H, other.homography.H)
@@ -180,34 +183,34 @@ def test_a_change_makes_anew_what_depends_on_it_and_keeps_the_track(
 
 
 def test_targets_come_and_go_and_the_others_stay_tracked(
-    tracking: Built, frames: tuple[Frame, ...], images: tuple[TargetImage, ...], made: Counter[str]
+    tracking: PreparedLocalizer, frames: tuple[Frame, ...], images: tuple[TargetImage, ...], made: Counter[str]
 ) -> None:
     other = TargetImage("other", default_targets(1, seed=9)[0].pixels[:240, :320].copy(), 0.2)
-    both = build((other, images[0]), BASE, tracking)
-    both.chain.continue_from(tracking.chain)
+    both = prepare_localizer((other, images[0]), BASE, tracking)
+    both.localizer.continue_from(tracking.localizer)
     assert made["descriptions"] == 7
-    result = both.chain.process(frames[4])
+    result = both.localizer.process(frames[4])
     assert [target.status for target in result] == [Status.LOST, Status.TRACKED]
-    alone = build(images, BASE, both)
-    alone.chain.continue_from(both.chain)
+    alone = prepare_localizer(images, BASE, both)
+    alone.localizer.continue_from(both.localizer)
     assert made["descriptions"] == 7
-    assert alone.chain.process(frames[5]).first.status is Status.TRACKED
+    assert alone.localizer.process(frames[5]).first.status is Status.TRACKED
     # As `~/reload` does: read again, described again, and the same picture.
     again = TargetImage("poster", images[0].pixels.copy(), 0.7)
-    read_again = build([again], BASE, alone)
-    read_again.chain.continue_from(alone.chain)
+    read_again = prepare_localizer([again], BASE, alone)
+    read_again.localizer.continue_from(alone.localizer)
     assert made["descriptions"] == 14
-    assert read_again.chain.process(frames[6]).first.status is Status.TRACKED
+    assert read_again.localizer.process(frames[6]).first.status is Status.TRACKED
     # Another picture under the same name is another target.
     turned = replace(images[0], pixels=np.ascontiguousarray(images[0].pixels[::-1, ::-1]))
-    another = build([turned], BASE, read_again)
-    another.chain.continue_from(read_again.chain)
-    assert another.chain.process(frames[7]).first.status is Status.DETECTED
+    another = prepare_localizer([turned], BASE, read_again)
+    another.localizer.continue_from(read_again.localizer)
+    assert another.localizer.process(frames[7]).first.status is Status.DETECTED
 
 
-def test_tracks_do_not_outlive_tracking(tracking: Built, frames: tuple[Frame, ...], images: Any) -> None:
-    off = build(images, parameters_from({"tracking.enabled": False}, BASE), tracking)
-    off.chain.continue_from(tracking.chain)
-    on = build(images, BASE, off)
-    on.chain.continue_from(off.chain)
-    assert on.chain.process(frames[4]).first.status is Status.DETECTED
+def test_tracks_do_not_outlive_tracking(tracking: PreparedLocalizer, frames: tuple[Frame, ...], images: Any) -> None:
+    off = prepare_localizer(images, parameters_from({"tracking.enabled": False}, BASE), tracking)
+    off.localizer.continue_from(tracking.localizer)
+    on = prepare_localizer(images, BASE, off)
+    on.localizer.continue_from(off.localizer)
+    assert on.localizer.process(frames[4]).first.status is Status.DETECTED

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="needs the ros extra")
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ShapeError
-from imgu_ros.localizer_builder import Built, build
+from imgu_ros.localizer import PreparedLocalizer, prepare_localizer
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.ros import rebuilding
 from imgu_ros.ros.rebuilding import Rebuilder
@@ -22,11 +22,11 @@ CHEAP = parameters_from({"search.thorough": False, "keypoints.max_count": 100})
 
 
 @pytest.fixture(scope="module")
-def built() -> Built:
-    return build([TargetImage("poster", procedural_texture(160, 120), 0.5)], CHEAP)
+def built() -> PreparedLocalizer:
+    return prepare_localizer([TargetImage("poster", procedural_texture(160, 120), 0.5)], CHEAP)
 
 
-def taken(rebuilder: Rebuilder) -> Built:
+def taken(rebuilder: Rebuilder) -> PreparedLocalizer:
     end = time.monotonic() + 20
     while (done := rebuilder.take()) is None:
         assert time.monotonic() < end
@@ -35,10 +35,10 @@ def taken(rebuilder: Rebuilder) -> Built:
 
 
 def test_targets_are_used_again_where_parameters_make_no_difference_to_them(built):
-    later = build(built.images, replace(CHEAP, seed=7), built)
+    later = prepare_localizer(built.images, replace(CHEAP, seed=7), built)
     assert later.references == built.references
-    assert later.chain is not built.chain
-    fewer = build(built.images, parameters_from({"keypoints.max_count": 50}, CHEAP), built)
+    assert later.localizer is not built.localizer
+    fewer = prepare_localizer(built.images, parameters_from({"keypoints.max_count": 50}, CHEAP), built)
     assert fewer.references != built.references
     assert len(fewer.references[0].features.described.keypoints) < len(built.references[0].features.described.keypoints)
 
@@ -80,11 +80,11 @@ def test_what_is_forgotten_is_not_taken(built, monkeypatch):
     may_go_on = threading.Event()
     made = rebuilding.build
 
-    def slow(*arguments: object) -> Built:
+    def slow(*arguments: object) -> PreparedLocalizer:
         assert may_go_on.wait(20)
         return made(*arguments)
 
-    monkeypatch.setattr(rebuilding, "build", slow)
+    monkeypatch.setattr(rebuilding, "prepare_localizer", slow)
     rebuilder = Rebuilder(lambda _: None)
     rebuilder.ask(built, replace(CHEAP, seed=5))
     time.sleep(0.05)
@@ -96,4 +96,4 @@ def test_what_is_forgotten_is_not_taken(built, monkeypatch):
 
 def test_an_image_that_cannot_serve_is_an_error():
     with pytest.raises(ShapeError, match="target poster"):
-        build([TargetImage("poster", procedural_texture(160, 120).astype(float), 0.5)], Parameters())
+        prepare_localizer([TargetImage("poster", procedural_texture(160, 120).astype(float), 0.5)], Parameters())
