@@ -145,9 +145,7 @@ class LocalizerWorker(FrameWorker):
         """Why frames are not decoded as the parameters in force say; empty when they are."""
         return self._reading_problem
 
-    def prepare_localizer(
-        self, images: Sequence[TargetImage], parameters: Parameters | None = None
-    ) -> PreparedLocalizer:
+    def build(self, images: Sequence[TargetImage], parameters: Parameters | None = None) -> PreparedLocalizer:
         """Return a localizer for these targets; frames are processed meanwhile.
 
         Parameters
