@@ -3,7 +3,7 @@
 
     ros2 launch imgu_ros replay.launch.py bag:=/path/to/bag image:=/camera/image_raw target:=poster.png width_m:=0.42
 
-The bag starts when the node has subscribed to the images, which it does when somebody listens to it: RViz
+The bag starts when the node has subscribed to the images, which it does when one of its outputs has a subscriber: RViz
 (`rviz:=true`), Foxglove, `ros2 topic echo /pose`, or `publish_tf:=true`. For numbers, pictures and a report without any
 of this: `imgu replay BAG --out DIR`.
 """
