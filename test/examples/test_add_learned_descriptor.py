@@ -107,7 +107,7 @@ LAYER = DescriptorMethod(
     columns=ROWS,
     is_binary=False,
     metrics=("euclidean", "cosine"),
-    nature="is activations of a layer",
+    nature="is the output of a layer",
     detects=True,
 )
 CHOSEN = {
@@ -169,5 +169,5 @@ def test_users_choose_it_as_detector_and_descriptor() -> None:
         parameters_from({"descriptor.kind": "layer"})
     with pytest.raises(ParameterError, match=r"^descriptor.kind: 'orb' .*'layer', which .*; need 'layer'$"):
         parameters_from({"keypoints.detector": "layer"})
-    with pytest.raises(ParameterError, match=r"^matching.metric: 'ncc' .* is activations of a layer; need"):
+    with pytest.raises(ParameterError, match=r"^matching.metric: 'ncc' .* is the output of a layer; need"):
         parameters_from({**CHOSEN, "matching.metric": "ncc"})

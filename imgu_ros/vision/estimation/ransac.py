@@ -72,9 +72,8 @@ def ransac(
     max_by_chance : most hypotheses as good as the answer that wrong data may be expected to give, of a model that can
         tell (`ChanceModel`); inf: chance is not asked
     unit : of the threshold, for the message of NoConsensus
-    proposal : hypotheses to begin with. When the best of them is more than chance (1e-3, or `max_by_chance` where that
-        is less), it is the answer, and no sample is drawn. The truncated score takes it as it is, the biweight score
-        fits it by weight first
+    proposal : hypotheses to begin with. When the best of them, fitted to what agrees with it, is more than chance
+        (1e-3, or `max_by_chance` where that is less), it is the answer, and no sample is drawn
 
     Raises
     ------
@@ -108,7 +107,7 @@ def ransac(
         require_type(proposal, Proposal, "proposal")
         proposed = proposal.samples
         by_chance = min(max_by_chance, _PROPOSED_BY_CHANCE)
-        is_better = len(proposal.hypotheses) > 0 and search.begin(proposal.hypotheses)
+        is_better = len(proposal.hypotheses) > 0 and search.improve(proposal.hypotheses)
         if is_better and search.failure(wanted, proposed, by_chance, 0, unit) is None:
             return search.consensus(0)
     most_drawn = max_iterations * search.draws_for_each
@@ -146,7 +145,7 @@ def accepted(
     require_type(proposal, Proposal, "proposal")
     search = _search(model, threshold, Score.TRUNCATED)
     if len(proposal.hypotheses):
-        search.begin(proposal.hypotheses)
+        search.consider(proposal.hypotheses)
     wanted = max(as_integer(min_inliers, "min_inliers"), model.sample_size + 1)
     failure = search.failure(wanted, proposal.samples, as_number(max_by_chance, "max_by_chance"), 0, unit)
     if failure is not None:

@@ -119,6 +119,11 @@ class _Search:
             return None
         return NoConsensus(_by_chance(agreement, found, tested, max_by_chance, f"{threshold:g}{unit}"), inliers=found)
 
+    def consider(self, hypotheses: Floats) -> bool:
+        """Whether one of the hypotheses, as it is, is better than all before, by the truncated score."""
+        errors = self.model.squared_errors(hypotheses)
+        return self._take(hypotheses, errors, np.minimum(errors, self.limit) @ self.shares)
+
     def _take(self, hypotheses: Floats, errors: Floats, costs: Floats) -> bool:
         winner = int(np.argmin(costs))
         if not costs[winner] < self.cost:
@@ -145,14 +150,10 @@ class _TruncatedSearch(_Search):
 
     def improve(self, hypotheses: Floats) -> bool:
         """Whether a hypothesis of the batch is better than all before."""
-        if not self._consider(hypotheses):
+        if not self.consider(hypotheses):
             return False
         self._refit_to_inliers()
         return True
-
-    def begin(self, hypotheses: Floats) -> bool:
-        """Whether one of the proposed hypotheses, as it is, is better than all before."""
-        return self._consider(hypotheses)
 
     def finish(self) -> None:
         """Fit the best hypothesis by weights that narrow down: what a poor sample gave takes in all that agrees."""
@@ -165,7 +166,7 @@ class _TruncatedSearch(_Search):
             if not len(hypotheses):
                 return
             errors = self.model.squared_errors(hypotheses)
-        if self._consider(hypotheses):
+        if self.consider(hypotheses):
             self._refit_to_inliers()
 
     def _refit_to_inliers(self) -> None:
@@ -175,12 +176,8 @@ class _TruncatedSearch(_Search):
                 candidate = self.model.refit(self.best, self.errors <= self.limit)
             except EstimationError:
                 break
-            if not self._consider(candidate[None]):
+            if not self.consider(candidate[None]):
                 break
-
-    def _consider(self, hypotheses: Floats) -> bool:
-        errors = self.model.squared_errors(hypotheses)
-        return self._take(hypotheses, errors, np.minimum(errors, self.limit) @ self.shares)
 
 
 class _BiweightSearch(_Search):
@@ -207,10 +204,6 @@ class _BiweightSearch(_Search):
             errors = self.model.squared_errors(hypotheses)
             better |= self._take(hypotheses, errors, self._costs(errors))
         return better
-
-    def begin(self, hypotheses: Floats) -> bool:
-        """Whether one of the proposed hypotheses, or a fit that starts from it, is better than all before."""
-        return self.improve(hypotheses)
 
     def finish(self) -> None:
         """Nothing is left to do: every batch's best were fitted by weight."""
