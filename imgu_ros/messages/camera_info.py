@@ -36,7 +36,7 @@ def decode_camera_info(
 
 
 def camera_description(message: Any, source: str = "camera_info") -> CameraDescription:
-    """Return what a sensor_msgs/CameraInfo says; ROS 1 writes D, K, R and P in capitals.
+    """Return the fields of a sensor_msgs/CameraInfo; ROS 1 writes D, K, R and P in capitals.
 
     Raises
     ------

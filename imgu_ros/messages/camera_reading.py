@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera_info message or a calibration file says -> the camera that took an image, or why there is none.
+"""Content of a camera_info message or a calibration file -> the camera that took an image, or why there is none.
 
 Messages and files are brought into one form, `CameraDescription`, and read by one function.
 """
@@ -28,7 +28,7 @@ _INVERTIBLE, _INVERTIBLE_FISHEYE = 0.5, 0.05
 
 @dataclass(frozen=True, slots=True)
 class CameraDescription:
-    """What is said of a camera, nothing checked.
+    """Description of a camera, unchecked.
 
     Attributes
     ----------
@@ -61,14 +61,14 @@ class CameraDescription:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """Return width and height of the image: what binning makes of the window."""
+        """Return width and height of the image: the window after binning."""
         _, _, width, height = self.window
         return width // max(1, self.binning[0]), height // max(1, self.binning[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraReading:
-    """What became of a description.
+    """Result of reading a description.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def read_camera(
     image_size: tuple[int, int] | None = None,
     covariance: tuple[float, ...] = (),
 ) -> CameraReading:
-    """Read the camera that took an image of `image_size`. Nothing is raised for what is said of it.
+    """Read the camera that took an image of `image_size`. An unusable description raises nothing.
 
     K and P are given for the whole sensor at full resolution; the image may be a window of it and combine
     `binning` sensor pixels into one. With pixel centres at integers, x_image = (x_sensor - x - (b - 1) / 2) / b.

@@ -114,7 +114,7 @@ def compressed_image_message(
 
 @dataclass(frozen=True, slots=True)
 class _Format:
-    """The format string taken apart: the original encoding ("" when it is not said), and the swap of red and blue."""
+    """The parsed format string: the original encoding ("" when not given), and whether red and blue are swapped."""
 
     original: str
     rgb_inside: bool
@@ -132,7 +132,7 @@ def _file_kind(name: str) -> FileKind:
 
 
 def _why_no_picture(data: NDArray[np.uint8], text: str) -> str:
-    """Return what the data are, where their format tells, and what is needed."""
+    """Return the format that the data have, where it is recognised, and the formats that are accepted."""
     folded = text.lower()
     need = f"need {_NEED}"
     if "compresseddepth" in folded:
@@ -169,7 +169,7 @@ def _layout(pixels: Image, said: _Format) -> PixelLayout:
 
 
 def _overridden(pixels: Image, said: _Format, wanted: Encoding) -> PixelLayout:
-    """Return the layout of a picture that was made from another encoding than its format says."""
+    """Return the layout of an image that was made from another encoding than its format says."""
     channels = 1 if pixels.ndim == 2 else pixels.shape[2]
     color = wanted.layout.color
     packed = wanted.planar_rows or color in (ColorModel.UYVY, ColorModel.YUYV, ColorModel.ARGB)

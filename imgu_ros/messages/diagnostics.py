@@ -14,7 +14,7 @@ from imgu_ros.shown_text import shown
 
 
 class HealthLevel(IntEnum):
-    """How bad it is, as in diagnostic_msgs/DiagnosticStatus."""
+    """Levels of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -24,7 +24,7 @@ class HealthLevel(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HealthEntry:
-    """One line of a node's health: what it is about, how bad it is, what is said, and figures."""
+    """One entry of a node's health: subject, level, message and figures."""
 
     name: str
     level: HealthLevel

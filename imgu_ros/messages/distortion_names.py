@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drivers and calibration tools call their lens distortion -> a model and its coefficients."""
+"""Names of distortion models in drivers and calibration tools -> a model and its coefficients."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _of_opencv(key: str, shown: str, given: tuple[float, ...], count: int) -> Le
 
 
 def message_name(model: DistortionModel) -> str:
-    """Return what sensor_msgs/CameraInfo and its readers call a model."""
+    """Return the name of a model in sensor_msgs/CameraInfo."""
     return _MESSAGE_NAMES.get(model, str(model))
 
 

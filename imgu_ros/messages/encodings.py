@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The names of image encodings, as in sensor_msgs/image_encodings.hpp, and what they mean."""
+"""Names of image encodings, as in sensor_msgs/image_encodings.hpp, and their pixel layouts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """What an encoding's name says.
+    """Meaning of an encoding's name.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def encoding_names() -> tuple[str, ...]:
 
 
 def is_image_encoding(name: str) -> bool:
-    """Whether the chain can read images of this encoding."""
+    """Whether the pipeline can read images of this encoding."""
     try:
         encoding_named(name)
     except EncodingError:

@@ -85,7 +85,7 @@ def keypoints_message(make: MessageFactory, header: Header, keypoints: Keypoints
 
 
 def decode_keypoints(message: Any) -> tuple[Keypoints, Image | None]:
-    """Read what `keypoints_message` writes: the keypoints, and the (N, D) descriptors or None when there are none.
+    """Read a message of `keypoints_message`: the keypoints, and the (N, D) descriptors or None when there are none.
 
     Raises
     ------
@@ -121,14 +121,14 @@ def matches_message(make: MessageFactory, header: Header, results: Iterable[Refe
 
 
 def decode_matches(message: Any) -> Table:
-    """Read what `matches_message` writes, a table with the columns of `MATCH_DTYPE`."""
+    """Read a message of `matches_message`, a table with the columns of `MATCH_DTYPE`."""
     table = decode_point_cloud(message)
     _require(table, MATCH_DTYPE.names or ())
     return table
 
 
 def decode_target_matches(message: Any) -> dict[int, ReferenceMatches]:
-    """Read what `matches_message` writes: the matches of each target, in the order in which targets appear first.
+    """Read a message of `matches_message`: the matches of each target, in the order in which targets appear first.
 
     They name no keypoints: `index_src` and `index_dst` are -1.
 
@@ -167,7 +167,7 @@ def homographies_message(
 
 
 def decode_homographies(message: Any) -> Table:
-    """Read what `homographies_message` writes, a table with the columns of `HOMOGRAPHY_DTYPE`.
+    """Read a message of `homographies_message`, a table with the columns of `HOMOGRAPHY_DTYPE`.
 
     `calibrated` and `sharp` may be missing.
     """
@@ -177,13 +177,13 @@ def decode_homographies(message: Any) -> Table:
 
 
 def decode_calibrated(message: Any) -> bool:
-    """Return whether the homographies are those of a calibrated camera, as far as `homographies_message` says so."""
+    """Return whether the homographies are those of a calibrated camera, by a message of `homographies_message`."""
     table = decode_homographies(message)
     return "calibrated" not in (table.dtype.names or ()) or bool(np.all(table["calibrated"]))
 
 
 def decode_sharp(message: Any) -> set[int]:
-    """Return the targets of which `homographies_message` says that their points were seen at full resolution."""
+    """Return the targets whose points were measured at full resolution, by a message of `homographies_message`."""
     table = decode_homographies(message)
     if "sharp" not in (table.dtype.names or ()):
         return set()
@@ -191,7 +191,7 @@ def decode_sharp(message: Any) -> set[int]:
 
 
 def decode_estimates(message: Any, inliers: Mapping[int, int]) -> dict[int, HomographyEstimate]:
-    """Read what `homographies_message` writes: the homography of each target, of points that all agree.
+    """Read a message of `homographies_message`: the homography of each target, of points that all agree.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def read_camera_info(
     image_size: tuple[int, int] | None,
     covariance: tuple[float, ...] = (),
 ) -> CameraReading:
-    """Read the camera of a camera_info message, or of what a calibration file says; see `read_camera`."""
+    """Read the camera of a camera_info message, or of a calibration file; see `read_camera`."""
     if isinstance(camera_info, CameraDescription):
         return read_camera(camera_info, rectified=rectified, image_size=image_size, covariance=covariance)
     return decode_camera_info(camera_info, rectified=rectified, image_size=image_size, covariance=covariance)

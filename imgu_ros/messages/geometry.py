@@ -139,7 +139,7 @@ def tf_message(make: MessageFactory, transforms: Sequence[StampedTransform]) -> 
 
 
 def decode_tf_message(message: Any) -> list[StampedTransform]:
-    """Read a tf2_msgs/TFMessage; what is no transform (a zero quaternion, NaN, a frame without a name) is left out.
+    """Read a tf2_msgs/TFMessage; invalid transforms (a zero quaternion, NaN, a frame without a name) are left out.
 
     A leading slash of a frame's name, as ROS 1 wrote it, is not part of the name.
     """

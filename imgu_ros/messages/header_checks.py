@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is odd about the headers of an image topic and its camera_info: stamps that do not rise, names of no frame."""
+"""Checks of the headers of an image topic and its camera_info: stamps that do not rise, invalid frame names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CAMERAS = 8
 
 
 class Oddity(StrEnum):
-    """What can be odd."""
+    """Kinds of odd headers."""
 
     SLASH = "frame_slash"  #: frame_id begins with a slash
     NO_FRAME = "no_frame"  #: frame_id is empty
@@ -177,7 +177,7 @@ class HeaderChecks:
 
 
 def what_becomes(frame_ids: Sequence[str]) -> str:
-    """Return what becomes of images of several cameras on one topic, and what to do; `frame_ids`: those known."""
+    """Return how images of several cameras on one topic are treated, and what to do; `frame_ids`: those known."""
     names = f" ({', '.join(quoted(name) for name in frame_ids)})" if len(frame_ids) > 1 else ""
     return f"each frame_id{names} is paired and tracked by itself; give each camera a topic and a node of its own"
 

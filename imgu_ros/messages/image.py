@@ -149,7 +149,7 @@ def _bytes(count: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Where an image's rows lie in its data: their number, the bytes from one to the next, and what is odd."""
+    """Where an image's rows lie in its data: their number, the bytes from one to the next, and a remark."""
 
     height: int
     step: int

@@ -39,7 +39,7 @@ RECTIFIED = (1.25, 2.5, 6.0)
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the numbers say.
+    """Result of the checks.
 
     Attributes
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A row of the table of outputs, and what its function makes a message from; the table is `messages/results.py`."""
+"""Type of a row in the table of outputs, and input of its function; the table is in `messages/results.py`."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class ConvertedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputContext:
-    """What a function of the table makes a message from.
+    """Input of a function of the table.
 
     Attributes
     ----------

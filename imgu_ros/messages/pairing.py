@@ -136,7 +136,7 @@ class Pairing(Generic[ImageT, InfoT]):
         return pairs
 
     def flush(self, is_due: Callable[[ImageT], bool] = lambda _: True) -> list[Pair[ImageT, InfoT]]:
-        """Complete the images that still wait: nothing more will come; or those of cameras whose last one is due."""
+        """Complete the images that still wait, at the end of the input; or those of cameras whose last one is due."""
         return [
             pair
             for name, camera in self._cameras.items()
@@ -149,7 +149,7 @@ class Pairing(Generic[ImageT, InfoT]):
         return any(camera.waiting and is_due(camera.waiting[-1].image) for camera in self._cameras.values())
 
     def _infos_of(self, frame_id: str, camera: _Camera[ImageT]) -> list[_Infos[InfoT]]:
-        """Return the camera_info that may be a camera's: of its own name, else that it had before, else nobody's."""
+        """Return the camera_info that may be a camera's: of its name, else of its lender, else of no camera's name."""
         for name in (frame_id, camera.lender):
             if name is not None and name in self._infos:
                 return [self._infos[name]]
@@ -194,7 +194,7 @@ class Pairing(Generic[ImageT, InfoT]):
             camera.missed.append(stamp_ns)
 
     def _forget_cameras(self) -> list[Pair[ImageT, InfoT]]:
-        """Forget frame_ids that no image has any more, and of too many the least used; return what waited there."""
+        """Forget frame_ids that no image has any more, and of too many the least used; return their waiting images."""
         *others, newest = self._cameras
         count = self._cameras[newest].images
         gone = [name for name in others if count - self._cameras[name].others.get(newest, 0) > _FORGOTTEN]

@@ -90,7 +90,7 @@ def decode_point_cloud(message: Any) -> Table:
 
 @lru_cache(maxsize=64)
 def _fields(make: MessageFactory, dtype: np.dtype[Any]) -> tuple[Any, ...]:
-    """Return the fields' messages, the same ones for all clouds of a layout: nobody changes them."""
+    """Return the fields' messages, the same objects for all clouds of a layout: they are never changed."""
     return tuple(_field(make, dtype, name) for name in dtype.names or ())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""camera_info of a reduced picture: of which frame, how much of it, and with which camera it was taken."""
+"""camera_info of a reduced image: its frame's size, the part that it shows, and the camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imgu_ros.vision.camera.intrinsics import Camera
 
 @dataclass(frozen=True, slots=True)
 class Covered:
-    """Width and height, px, of the part of a frame that a picture shows, from the frame's top left corner."""
+    """Width and height, px, of the part of a frame that an image shows, from the frame's top left corner."""
 
     width: int
     height: int
@@ -26,7 +26,7 @@ class Covered:
 def reduced_info_message(
     make: MessageFactory, header: Header, camera: Camera | None, frame: Covered, covered: Covered, size: Covered
 ) -> Any:
-    """Return the sensor_msgs/CameraInfo of a reduced picture.
+    """Return the sensor_msgs/CameraInfo of a reduced image.
 
     It speaks of the frame's pixels as of a sensor's: `width`, `height`, K and D are the frame's, `roi` the part that
     the picture shows, `binning` the pixels that make one of the picture's, rounded.
@@ -48,7 +48,7 @@ def reduced_info_message(
 
 
 def reduced_info_from(make: MessageFactory, header: Header, info: Any, covered: Covered, size: Covered) -> Any:
-    """Return the camera_info of a further reduced picture.
+    """Return the camera_info of a further reduced image.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ _UNCALIBRATED = {"k": np.zeros(9), "r": np.eye(3).reshape(9), "p": np.zeros(12)}
 
 
 def decode_covered(message: Any, size: Covered) -> Covered:
-    """Return the part of a frame that a picture shows, by its camera_info.
+    """Return the part of a frame that an image shows, by its camera_info.
 
     Parameters
     ----------

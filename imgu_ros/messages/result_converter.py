@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results -> messages, with what some topics remember from frame to frame; used by the live nodes and by replay."""
+"""Results -> messages, with the state that some topics keep; used by the live nodes and by replay."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ResultConverter:
         self.adapt(target_names, parameters)
 
     def adapt(self, target_names: Sequence[str], parameters: OutputParameters) -> None:
-        """Use other targets or parameters; topics that stay keep what they remember.
+        """Use other targets or parameters; topics that stay keep their state.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class ResultConverter:
         return ConvertedFrame(self._make, result, self._parameters, self._places, self._draw)
 
     def messages(self, frame: ConvertedFrame, is_wanted: Callable[[str], bool]) -> Iterator[TopicMessage]:
-        """Yield what a frame has for each topic that is wanted.
+        """Yield the messages of a frame for the topics that are wanted.
 
         Parameters
         ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of each target -> diagnostic_msgs/DiagnosticArray."""
+"""Status of each target -> diagnostic_msgs/DiagnosticArray."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from imgu_ros.messages.header import Header, header_message
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Stage, Status
 from imgu_ros.shown_text import shown
 
-#: So much of an encoding's name is shown.
+#: Characters of an encoding's name that are shown.
 _SHOWN = 60
 #: diagnostic_msgs/DiagnosticStatus.level
 OK, WARN, ERROR = 0, 1, 2
@@ -25,7 +25,7 @@ _LEVELS = {
     Status.DEGENERATE: WARN,
     Status.REJECTED: ERROR,
 }
-#: A missing width is the user's own choice; a missing calibration or a doubtful pose is news.
+#: A missing width is the user's choice; a missing calibration or an ambiguous pose is a warning.
 _POSE_LEVELS = {PoseStatus.AMBIGUOUS: WARN, PoseStatus.UNCALIBRATED: WARN}
 
 
@@ -43,7 +43,7 @@ def status_message(make: MessageFactory, header: Header, result: Result) -> Any:
 
 
 def held_up_message(make: MessageFactory, header: Header, names: Sequence[str], text: str) -> Any:
-    """Return a diagnostic_msgs/DiagnosticArray that says of each target that a frame, of this header, takes long."""
+    """Return a diagnostic_msgs/DiagnosticArray with the status `held_up` of each target: this frame takes long."""
     entries = [
         make(
             "diagnostic_msgs/msg/DiagnosticStatus",
@@ -59,7 +59,7 @@ def held_up_message(make: MessageFactory, header: Header, names: Sequence[str], 
 
 
 def image_words(message: Any) -> str:
-    """Return what an image message says it is, `1920 x 1080 bayer_rggb8` or its format; empty for other messages."""
+    """Return size and encoding of an image message, `1920 x 1080 bayer_rggb8`, or its format; empty for others."""
     if hasattr(message, "encoding"):
         return f"{message.width} x {message.height} {shown(str(message.encoding), _SHOWN)}"
     return shown(str(message.format), _SHOWN) if hasattr(message, "format") else ""
