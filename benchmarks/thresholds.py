@@ -118,7 +118,7 @@ CONSTANTS = {
     "misfit_cells": "vision.projective.homography:_CELLS",
     "sampled_beyond_px": "vision.matching.patch_bank:_SAMPLED_BEYOND_PX",
     # ambiguity
-    "refuted": "vision.camera.planar_pose:_REFUTED",
+    "refuted": "vision.camera.pose:_REFUTED",
     # consensus
     "local_steps": "vision.estimation.search:_LOCAL_STEPS",
     "biweight_reach": "vision.estimation.search:_REACH",

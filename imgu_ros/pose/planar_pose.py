@@ -16,7 +16,7 @@ from imgu_ros.pose.plane import Plane
 from imgu_ros.reasons import NO_CAMERA_INFO, NO_SIZE, no_pose, why_ambiguous
 from imgu_ros.result import PoseStatus, ReferenceResult
 from imgu_ros.types import Matrix3, Points
-from imgu_ros.vision.camera.homography_pose import poses_of_homography
+from imgu_ros.vision.camera.homography_pose import poses_of_homography_unchecked
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
 from imgu_ros.vision.projective.homography import HomographyEstimate, HomographyNormalEquations
@@ -97,7 +97,7 @@ def planar_pose(
     try:
         if located.condensed is not None and found.outline is not None:
             asked = check is None or camera.covariance is not None or check.wants(camera, found.name, found.outline)
-            poses = poses_of_homography(
+            poses = poses_of_homography_unchecked(
                 located.condensed,
                 camera.K,
                 plane.metres_from_template,

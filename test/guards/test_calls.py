@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(224, 30, 112, {5: 1240, 4: 1252}),
-    "empty": Limit(3892, 51, 1666, {5: 25164, 4: 26495}),
+    "tracked": Limit(159, 22, 74, {5: 1089, 4: 1101}),
+    "empty": Limit(3881, 51, 1670, {5: 24927, 4: 26258}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

@@ -11,9 +11,9 @@
 | points in space and their pixels | P | `resection.fit_projection`; some wrong: `camera_model.estimate_projection` |
 | the same, and a calibrated camera | pose with covariance | `pose_estimate.fit_pose`; some wrong: `estimate_pose` |
 | points of a plane and their pixels | both poses that fit | `planar_pose.planar_poses` |
-| their homography (`projective.condensed`) | the same poses, faster | `homography_pose.poses_of_homography` |
+| their homography (`projective.homography`) | the same poses, faster | `homography_pose.poses_of_homography` |
 | H of a plane | pose, exact | `plane_view.pose_from_plane_homography` |
-| the same, not quite exact | the two poses that fit it at a point | `ippe.poses_about_point` |
+| the same, not quite exact | the two poses that fit it at a point | `homography_pose.poses_about_point` |
 | two views from one place | R | `rotation_view`; from points, some wrong: `rotation_model.estimate_rotation` |
 | a rotation | angles, quaternion, rotation vector | `euler`, `rotation` |
 
@@ -47,12 +47,11 @@ from imgu_ros.vision.camera.decomposition import CameraParts, decompose_projecti
 from imgu_ros.vision.camera.distortion import Bent, bend, bend_with_derivatives, fold_radius, unbend
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.euler import EulerOrder, euler_angles, from_euler
-from imgu_ros.vision.camera.homography_pose import poses_of_homography
+from imgu_ros.vision.camera.homography_pose import poses_about_point, poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
-from imgu_ros.vision.camera.ippe import poses_about_point
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, planar_poses, weighed_poses
+from imgu_ros.vision.camera.planar_pose import planar_pose_starts, planar_poses
 from imgu_ros.vision.camera.plane_view import plane_homography, pose_from_plane_homography
-from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose import PlanarPoses, Pose
 from imgu_ros.vision.camera.pose_estimate import PoseEstimate, PoseModel, estimate_pose, fit_pose
 from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_seen_from
 from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
@@ -159,7 +158,6 @@ __all__ = [
     "tilt_matrix",
     "unbend",
     "weigh_calibration",
-    "weighed_poses",
     "with_covariance",
     "without_copies",
     "world_to_camera",

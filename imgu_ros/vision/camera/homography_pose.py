@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pose of a calibrated camera before a plane, from the plane's homography (IU 8.1.5; Collins & Bartoli 2014).
 
-A homography of a plane has eight degrees of freedom, a pose six: what a condensed homography knows of its points
-decides which pose fits best, at a cost that does not depend on their number.
+A homography of a plane has eight degrees of freedom, a pose six. The homography's normal equations give the error of
+each pose at a cost that does not depend on the number of points.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -20,17 +21,17 @@ from imgu_ros.vision.camera.calibration_test import LEAST_NOISE_PX, CalibrationT
 from imgu_ros.vision.camera.camera_covariance import covariance_factor
 from imgu_ros.vision.camera.camera_derivatives import ideal_by_camera
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.camera.ippe import poses_about_point
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, weighed_poses
-from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose import PlanarPoses, Pose, ranked_poses_unchecked
 from imgu_ros.vision.camera.rigid import RigidTransform
-from imgu_ros.vision.camera.rotation import exp_so3
-from imgu_ros.vision.estimation.nonlinear import Linearisation, minimise
 from imgu_ros.vision.projective.homography import HomographyNormalEquations
-from imgu_ros.vision.projective.transform import inverse3
 
-#: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
+#: Smallest step, as a share of the parameters' standard deviations at 1 px noise.
 _TOLERANCE = 5e-3
+_MOST_STEPS = 30
+#: Marquardt's damping at the start, and its limits.
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e12
+#: A nearly undamped step that promises to lower the cost by less than this share, and fails, is rounding.
+_ROUNDING = 1e-12
 
 
 def _by_step() -> tuple[Floats, Floats]:
@@ -46,6 +47,8 @@ def _by_step() -> tuple[Floats, Floats]:
     return of_pose.reshape(54, 12), constant.ravel()
 
 
+#: Rounding may make a square a little negative.
+_ROUNDED = 1e-9
 _BY_STEP, _BY_TRANSLATION = _by_step()
 #: A grid of normalised points that covers the plane where the points themselves are not given: 1.7 standard deviations
 #: is the half side of a uniform distribution.
@@ -62,7 +65,7 @@ def poses_of_homography(
     camera: Camera | None = None,
     src_xy: ArrayLike | None = None,
 ) -> PlanarPoses:
-    """Estimate camera_from_plane from a homography's condensed correspondences.
+    """Estimate camera_from_plane from the normal equations of a homography.
 
     The same as `planar_poses` of the correspondences, to second order in the residuals.
 
@@ -87,8 +90,8 @@ def poses_of_homography(
     --------
     Points of a picture printed at a centimetre a pixel, two metres ahead and tilted by half a radian:
 
-    >>> from imgu_ros.vision.projective import homography_normal_equations
-    >>> from imgu_ros.vision.projective import PlaneMotion
+    >>> from imgu_ros.vision.camera.rotation import exp_so3
+    >>> from imgu_ros.vision.projective import PlaneMotion, homography_normal_equations
     >>> K, plane_from_px, R = np.diag([500.0, 500, 1]), np.diag([0.01, 0.01, 1]), exp_so3([0.5, 0, 0])
     >>> H = K @ np.column_stack((R[:, :2], [0, 0, 2])) @ plane_from_px
     >>> motions, still = PlaneMotion([[-30, -30], [30, -30], [30, 30], [-30, 30], [10, 2], [-3, 9]]), np.zeros((6, 2))
@@ -100,28 +103,37 @@ def poses_of_homography(
     if not isinstance(camera, Camera | None):
         raise ShapeError(f"camera: {shown_value(camera)}; need a Camera, or None")
     require_type(homography, HomographyNormalEquations, "homography")
-    K = as_matrix(K, (3, 3), "K")
-    src_from_plane = inverse3(as_matrix(plane_from_src, (3, 3), "plane_from_src"), "plane_from_src")
+    K, plane_from_src = as_matrix(K, (3, 3), "K"), as_matrix(plane_from_src, (3, 3), "plane_from_src")
+    src_xy = None if src_xy is None else as_points(src_xy, "src_xy")
+    return poses_of_homography_unchecked(homography, K, plane_from_src, camera, src_xy)
+
+
+def poses_of_homography_unchecked(
+    homography: HomographyNormalEquations,
+    K: Matrix3,
+    plane_from_src: Matrix3,
+    camera: Camera | None = None,
+    src_xy: Points | None = None,
+) -> PlanarPoses:
+    """`poses_of_homography` without the checks of its arguments."""
+    src_from_plane = _inverse(plane_from_src, "plane_from_src")
     problem = _PoseOfHomography(homography, K, src_from_plane)
     # In the middle of the points the two poses are nearest to the best ones.
-    plane_from_points = inverse3(homography.T_src @ src_from_plane, "plane_from_src")
-    normalised_from_plane = inverse3(homography.T_dst @ K, "K") @ homography.scaled @ homography.T_src @ src_from_plane
-    starts = poses_about_point(normalised_from_plane, plane_from_points[:2, 2] / plane_from_points[2, 2])
-    poses = weighed_poses(
-        sorted(starts, key=problem.start_px), lambda start: problem.rms_px(start.matrix), problem.refined
-    )
+    x, y, w = problem.plane_from_points[:, 2].tolist()
+    normalised_from_plane = _inverse(homography.T_dst @ K, "K") @ homography.scaled @ homography.T_src @ src_from_plane
+    starts = _poses_about_point(normalised_from_plane, x / w, y / w)
+    poses = ranked_poses_unchecked(sorted(starts, key=problem.start_px), problem.rms_px, problem.refined)
     if not poses.solutions:
         raise DegenerateConfiguration("H: no pose in front of the camera explains it; need a plane seen from its front")
     if camera is None:
         return poses
-    xy = None if src_xy is None else as_points(src_xy, "src_xy")
     if camera.covariance is None:
         try:
-            moved = problem.tangent_by_camera(camera, xy)
+            moved = problem.tangent_by_camera(camera, src_xy)
             return replace(poses, calibration=problem.calibration(poses.solutions[0], moved))
         except EstimationError:
             return poses  # a lens that folds at one of the points says nothing of itself there; the pose stands
-    moved = problem.tangent_by_camera(camera, xy)
+    moved = problem.tangent_by_camera(camera, src_xy)
     tests, factor = [problem.calibration(pose, moved) for pose in poses.solutions], covariance_factor(camera)
     solutions = tuple(
         pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(poses.solutions, tests, strict=True)
@@ -130,12 +142,12 @@ def poses_of_homography(
 
 
 class _PoseOfHomography:
-    """Residuals (8, 1) of the homography that a pose, (4, 4) camera_from_plane, gives, weighed as its points would."""
+    """Whitened residuals (8,) of the homography that a pose, (4, 4) camera_from_plane, gives."""
 
     def __init__(self, homography: HomographyNormalEquations, K: Matrix3, src_from_plane: Matrix3) -> None:
         self._homography = homography
         # H = A [r1 r2 t] M^-1, so that vec H = (A x M^-T) vec [r1 r2 t], row-major.
-        M_inverse = inverse3(homography.T_src @ src_from_plane, "plane_from_src")
+        self.plane_from_points = M_inverse = _inverse(homography.T_src @ src_from_plane, "plane_from_src")
         A = homography.T_dst @ K
         by_pose = (A[:, None, :, None] * M_inverse.T[None, :, None, :]).reshape(9, 9)
         try:
@@ -154,25 +166,16 @@ class _PoseOfHomography:
         self._by_rigid = by_rigid.reshape(9, 12)
         self._unit = float(homography.T_dst[0, 0])
 
-    def linearise(self, estimate: Floats) -> Linearisation:
-        """Return the whitened residuals and their derivative by (x y z rx ry rz): t + xyz, Exp(r) R."""
+    def linearised(self, estimate: Floats) -> tuple[Floats, Floats]:
+        """Return the residuals (8,) and their derivative (8, 6) by (x y z rx ry rz): t + xyz, Exp(r) R."""
         residuals, scale = self._residuals(estimate)
         by_step = self._by_pose @ (_BY_STEP @ estimate[:3].ravel() + _BY_TRANSLATION).reshape(9, 6)
-        jacobian = (by_step[:8] - residuals[:, None] * by_step[8]) / scale
-        return Linearisation(residuals[:, None], jacobian[:, None, :])
+        return residuals, (by_step[:8] - residuals[:, None] * by_step[8]) / scale
 
-    def step(self, estimate: Floats, delta: Floats) -> Floats:
-        """Return the transform moved by (x y z rx ry rz)."""
-        moved = estimate.copy()
-        turn = delta[3:] / max(1.0, float(np.abs(delta[3:]).max()) / 1e3)
-        moved[:3, :3] = exp_so3(turn) @ estimate[:3, :3]
-        moved[:3, 3] += delta[:3]
-        return moved
-
-    def start_px(self, start: RigidTransform) -> float:
+    def start_px(self, start: Floats) -> float:
         """Return the points' root mean square residual under a pose; infinite where it is none."""
         try:
-            return self.rms_px(start.matrix)
+            return self.rms_px(start)
         except EstimationError:
             return math.inf
 
@@ -181,13 +184,10 @@ class _PoseOfHomography:
         residuals = self._residuals(estimate)[0]
         return self._rms_px(float(residuals @ residuals))
 
-    def refined(self, start: RigidTransform) -> Pose:
+    def refined(self, start: Floats) -> Pose:
         """Return the pose of least error near a start, with its covariance."""
         homography = self._homography
-        minimum = minimise(self, start.matrix, max_iterations=30, tolerance=_TOLERANCE * self._unit)
-        R, t = minimum.estimate[:3, :3], minimum.estimate[:3, 3]
-        by_step = minimum.linearisation.jacobian[:, 0]
-        residuals = minimum.linearisation.residuals.ravel()
+        estimate, residuals, by_step = self._minimised(start)
         # The whitened errors of the homography have the covariance W^-T middle W^-1.
         try:
             gain = np.linalg.solve(self._whitening, by_step)
@@ -198,18 +198,61 @@ class _PoseOfHomography:
             ) from None
         covariance = homography.noise**2 * of_pose @ homography.middle @ of_pose.T
         rms_px = self._rms_px(float(residuals @ residuals))
-        return Pose(R, t, (covariance + covariance.T) / 2, rms_px)
+        return Pose(estimate[:3, :3], estimate[:3, 3], (covariance + covariance.T) / 2, rms_px)
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def _minimised(self, start: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the pose (4, 4) of least error, its residuals and their derivative, by Levenberg-Marquardt.
+
+        As `minimise` does it, of which six parameters and eight residuals would be a small part of its time.
+        """
+        estimate, damping, tolerance = start, _FIRST_DAMPING, _TOLERANCE * self._unit
+        residuals, by_step = self.linearised(estimate)
+        cost = float(residuals @ residuals)
+        if not math.isfinite(cost):
+            raise DegenerateConfiguration("pose: residuals that are not finite; need another start")
+        for _ in range(_MOST_STEPS):
+            normal, gradient = by_step.T @ by_step, by_step.T @ residuals
+            scale = np.sqrt(normal.diagonal())
+            if not (math.isfinite(float(normal.sum())) and scale.min() > 0):
+                raise DegenerateConfiguration("pose: nothing determines it; need a plane that is not seen edge-on")
+            damped = normal / (scale[:, None] * scale)
+            damped.ravel()[::7] += damping
+            # For a few rows, OpenCV is three times as fast as NumPy.
+            regular, step = cv2.solve(damped, (gradient / scale)[:, None], flags=cv2.DECOMP_CHOLESKY)
+            if not regular:
+                raise DegenerateConfiguration("pose: nothing determines it; need a plane that is not seen edge-on")
+            delta = -step[:, 0] / scale
+            length = float(delta @ normal @ delta)
+            if length <= tolerance**2:
+                break
+            try:
+                moved = _moved(estimate, delta)
+                new_residuals, new_by_step = self.linearised(moved)
+                new_cost = float(new_residuals @ new_residuals)
+            except EstimationError:
+                new_cost = math.inf  # a step too long
+            if new_cost <= cost:
+                is_small = cost - new_cost <= tolerance * cost
+                estimate, residuals, by_step, cost = moved, new_residuals, new_by_step, new_cost
+                damping = max(damping / 10, _LEAST_DAMPING)
+                if is_small:
+                    break
+            elif damping > _MOST_DAMPING or (damping <= 1 and length <= _ROUNDING * cost):
+                break
+            else:
+                damping *= 10
+        return estimate, residuals, by_step
 
     def calibration(self, pose: Pose, tangent_by_camera: Floats) -> CalibrationTest:
         """Return what the homography says of the camera's numbers, at a pose that fits best."""
         homography = self._homography
-        linear = self.linearise(pose.transform.matrix)
-        by_step = linear.jacobian[:, 0]
+        residuals, by_step = self.linearised(pose.transform.matrix)
         # The last two columns are orthogonal to those of the derivative.
         across = np.linalg.qr(by_step, mode="complete")[0][:, 6:]
         of_noise = np.linalg.solve(self._whitening, across)
         return CalibrationTest.of_residuals(
-            linear.residuals.ravel(),
+            residuals,
             by_step,
             across,
             self._whitening @ tangent_by_camera,
@@ -246,7 +289,7 @@ class _PoseOfHomography:
     def _tangent_by_pinhole(self, camera: Camera) -> Floats:
         """Return the same where no lens distorts: with K, all points move as a homography moves them."""
         h = self._homography
-        moved = _BY_K @ (inverse3(h.T_dst @ camera.K, "K") @ h.scaled)
+        moved = _BY_K @ (_inverse(h.T_dst @ camera.K, "K") @ h.scaled)
         tangent = np.zeros((8, 4 + len(camera.distortion)))
         tangent[:, :4] = -h.basis.T @ (h.T_dst @ moved).reshape(4, 9).T
         return tangent
@@ -262,3 +305,102 @@ class _PoseOfHomography:
         if not scale > 0:
             raise DegenerateConfiguration("pose: the plane is behind the camera; need it in front")
         return along[:8] / scale, scale
+
+
+def poses_about_point(H: ArrayLike, point: ArrayLike) -> tuple[RigidTransform, RigidTransform]:
+    """Return the two poses camera_from_plane that have a homography's value and derivative at a point.
+
+    Of an exact homography one of them is its pose; how unlike they are says how much perspective there is.
+
+    Parameters
+    ----------
+    H : (3, 3) ideal normalised coordinates x / z, y / z from metres on the plane z = 0
+    point : (2,) metres on the plane
+
+    Raises
+    ------
+    DegenerateConfiguration
+        If H is singular at the point, or maps it to infinity.
+
+    Examples
+    --------
+    A plane one metre ahead, seen straight on; about a point off the axis it could also be tilted the other way:
+
+    >>> first, second = poses_about_point(np.eye(3), [0.0, 0.0])
+    >>> (first.t.round(9) + 0.0).tolist(), bool(np.allclose(first.R, np.eye(3)) and np.allclose(second.R, np.eye(3)))
+    ([0.0, 0.0, 1.0], True)
+    """
+    x, y = as_matrix(point, (2,), "point").tolist()
+    first, second = _poses_about_point(as_matrix(H, (3, 3), "H"), x, y)
+    return RigidTransform(first[:3, :3], first[:3, 3]), RigidTransform(second[:3, :3], second[:3, 3])
+
+
+def _poses_about_point(H: Matrix3, x0: float, y0: float) -> list[Floats]:
+    """Return the same as two matrices (4, 4)."""
+    scale = float(np.abs(H).max())
+    (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = (H / scale if scale > 0 else H).tolist()
+    w = h20 * x0 + h21 * y0 + h22
+    if not abs(w) > _ROUNDED * (abs(h20 * x0) + abs(h21 * y0) + abs(h22)):
+        raise DegenerateConfiguration("H: it maps the point to infinity; need a point off the vanishing line")
+    p, q = (h00 * x0 + h01 * y0 + h02) / w, (h10 * x0 + h11 * y0 + h12) / w
+    # The derivative of the homography at the point.
+    j00, j01 = (h00 - p * h20) / w, (h01 - p * h21) / w
+    j10, j11 = (h10 - q * h20) / w, (h11 - q * h21) / w
+    # The rotation that turns the optical axis to the direction (p, q, 1) by the shortest way.
+    length = math.sqrt(p * p + q * q + 1)
+    u, v, z = p / length, q / length, 1 / length
+    k = 1 / (1 + z)
+    to_view = [[1 - k * u * u, -k * u * v, u], [-k * u * v, 1 - k * v * v, v], [-u, -v, z]]
+    # B = [I | -v] R_v restricted to the first two columns; A = B^-1 J is the upper left of R, over the depth.
+    b00, b01 = to_view[0][0] - p * to_view[2][0], to_view[0][1] - p * to_view[2][1]
+    b10, b11 = to_view[1][0] - q * to_view[2][0], to_view[1][1] - q * to_view[2][1]
+    det = b00 * b11 - b01 * b10
+    a00, a01 = (b11 * j00 - b01 * j10) / det, (b11 * j01 - b01 * j11) / det
+    a10, a11 = (b00 * j10 - b10 * j00) / det, (b00 * j11 - b10 * j01) / det
+    # Its larger singular value is that of a rotation's part with one column of length 1: the inverse depth.
+    s00, s01, s11 = a00 * a00 + a01 * a01, a00 * a10 + a01 * a11, a10 * a10 + a11 * a11
+    inverse_depth = math.sqrt(0.5 * (s00 + s11 + math.hypot(s00 - s11, 2 * s01)))
+    if not (inverse_depth > 0 and math.isfinite(inverse_depth) and abs(a00 * a11 - a01 * a10) > 0):
+        raise DegenerateConfiguration("H: singular at the point; need a plane that is not seen edge-on")
+    r00, r01, r10, r11 = a00 / inverse_depth, a01 / inverse_depth, a10 / inverse_depth, a11 / inverse_depth
+    # Columns of length 1 and at right angles: the third row up to its sign.
+    r20 = math.sqrt(max(0.0, 1 - r00 * r00 - r10 * r10))
+    r21 = math.copysign(math.sqrt(max(0.0, 1 - r01 * r01 - r11 * r11)), -(r00 * r01 + r10 * r11))
+    depth = 1 / inverse_depth
+    at_point = np.array([p * depth, q * depth, depth])
+    view = np.array(to_view)
+    poses = []
+    for c, f in ((r20, r21), (-r20, -r21)):
+        a, b, d, e = r00, r10, r01, r11
+        R = view @ np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
+        # Where the third row is nearly 0, its root has half the digits: a Newton step to the nearest rotation.
+        R = R @ (1.5 * np.eye(3) - 0.5 * (R.T @ R))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = R, at_point - x0 * R[:, 0] - y0 * R[:, 1]
+        poses.append(pose)
+    return poses
+
+
+def _moved(pose: Floats, delta: Floats) -> Floats:
+    """Return a pose (4, 4) moved by (x y z rx ry rz): t + xyz, Exp(r) R."""
+    vector = delta[3:] / max(1.0, float(np.abs(delta[3:]).max()) / 1e3)
+    angle = math.sqrt(float(vector @ vector))
+    # Exp(r) as `exp_so3` computes it: Rodrigues, both quotients without cancellation.
+    sine, versine = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > 1e-150 else (1.0, 0.5)
+    x, y, z = vector.tolist()
+    turn = sine * np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    square = np.array(
+        [[-(y * y) - z * z, x * y, x * z], [x * y, -(x * x) - z * z, y * z], [x * z, y * z, -(x * x) - y * y]]
+    )
+    moved = pose.copy()
+    moved[:3, :3] = (np.eye(3) + turn + versine * square) @ pose[:3, :3]
+    moved[:3, 3] += delta[:3]
+    return moved
+
+
+def _inverse(matrix: Matrix3, name: str) -> Matrix3:
+    """Return the inverse of a (3, 3) matrix, several times as fast as NumPy; `name` is what errors call it."""
+    regular, inverse = cv2.invert(matrix)
+    if not regular or not math.isfinite(np.vdot(inverse, inverse)):
+        raise DegenerateConfiguration(f"{name}: singular or nearly so; need a regular matrix")
+    return np.asarray(inverse, np.float64)

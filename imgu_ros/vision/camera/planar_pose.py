@@ -8,21 +8,20 @@ says how sure the choice is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imgu_ros.arguments import as_number, require_type, shown_value
+from imgu_ros.arguments import as_number, require_type
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, ShapeError
 from imgu_ros.types import Floats, Points, as_matrix, as_plane_points, as_points
 from imgu_ros.vision.camera.calibration_test import FREEDOM, LEAST_NOISE_PX, CalibrationTest
 from imgu_ros.vision.camera.camera_covariance import covariance_factor
 from imgu_ros.vision.camera.camera_derivatives import raw_by_camera
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose import PlanarPoses, Pose, ranked_poses_unchecked
 from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
@@ -31,32 +30,12 @@ from imgu_ros.vision.estimation.nonlinear import minimise
 from imgu_ros.vision.projective.fit import require_spread
 
 #: A second solution is dropped when its initial error is this many times that of the first. Measured:
-#: benchmarks/thresholds.py, study ambiguity.
-_REFUTED = 5.0
 #: Degrees of freedom of a noise that is known.
 _KNOWN = 1e9
 #: Of so few points, the homography leaves no residuals that would tell their noise.
 _HOMOGRAPHY_POINTS = 4
 #: Of a parameter's standard deviation at 1 px noise: a step this small is not taken.
 _TOLERANCE = 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanarPoses:
-    """The poses that a plane's picture allows.
-
-    Attributes
-    ----------
-    solutions : one or two refined poses camera_from_plane, best first; a second one that is refuted clearly, by five
-        times the error, is left out
-    ambiguity : best / second-best RMS reprojection error, 0 (clear) to 1; 0 when only one pose lies before the camera
-    calibration : what the best one leaves unexplained, and how that depends on the camera; None: not asked for, or
-        there are no more points than a homography needs
-    """
-
-    solutions: tuple[Pose, ...]
-    ambiguity: float
-    calibration: CalibrationTest | None = None
 
 
 def planar_poses(
@@ -100,7 +79,7 @@ def planar_poses(
     among_valid = None if correlation is None else correlation[np.ix_(valid, valid)]
     problem = PoseProblem(plane_xy[valid], pixels[valid], camera)
     # OpenCV gives the better start first.
-    poses = weighed_poses(
+    poses = ranked_poses_unchecked(
         planar_pose_starts(plane_xy[valid], normalized[valid]),
         lambda start: _rms(problem.residuals(start.matrix)),
         lambda start: _refined(problem, start, noise_px, among_valid),
@@ -124,49 +103,6 @@ def planar_poses(
         pose.with_shared_error(test.pose_by_camera @ factor) for pose, test in zip(poses.solutions, tests, strict=True)
     )
     return PlanarPoses(solutions, poses.ambiguity, tests[0] if enough else None)
-
-
-def weighed_poses(
-    starts: Iterable[RigidTransform],
-    start_rms_px: Callable[[RigidTransform], float],
-    refined: Callable[[RigidTransform], Pose],
-) -> PlanarPoses:
-    """Refine the poses that a plane's picture allows, and weigh them.
-
-    Parameters
-    ----------
-    starts : poses camera_from_plane, the better one first: most second ones need no refinement to be told wrong
-    start_rms_px : root mean square error of a start, px; may raise EstimationError
-    refined : the pose of least error near a start; may raise EstimationError
-
-    Returns
-    -------
-    Without solutions when every start failed.
-    """
-    listed = isinstance(starts, Iterable) and not isinstance(starts, np.ndarray)
-    if not (listed and callable(start_rms_px) and callable(refined)):
-        raise ShapeError("starts, start_rms_px, refined: need transforms, and two functions of one")
-    found: list[Pose] = []
-    refuted_px = math.inf
-    for start in starts:
-        if not isinstance(start, RigidTransform):
-            raise ShapeError(f"starts: {shown_value(start)}; need RigidTransform objects")
-        try:
-            if found:
-                start_px = start_rms_px(start)
-                if start_px > _REFUTED * found[0].rms_px:
-                    refuted_px = start_px
-                    continue
-            found.append(refined(start))
-        except EstimationError:
-            continue  # a start behind the camera or at a grazing angle is no solution
-    if not found:
-        return PlanarPoses((), 0.0)
-    found.sort(key=lambda pose: pose.rms_px)
-    if len(found) > 1 and _same(found[0], found[1]):
-        found = found[:1]
-    second_px = found[1].rms_px if len(found) > 1 else refuted_px
-    return PlanarPoses(tuple(found), found[0].rms_px / second_px if second_px > 0 else 0.0)
 
 
 def planar_pose_starts(plane_xy: ArrayLike, normalized: ArrayLike) -> list[RigidTransform]:
@@ -268,9 +204,3 @@ def _calibration_test(
 
 def _rms(residuals: Floats) -> float:
     return math.sqrt(float((residuals**2).mean()))
-
-
-def _same(a: Pose, b: Pose) -> bool:
-    """Whether two refinements ended in the same minimum, to 0.1 mrad and a ten thousandth of the distance."""
-    angle = math.acos(min(1.0, max(-1.0, (float(np.trace(a.R.T @ b.R)) - 1) / 2)))
-    return angle < 1e-4 and float(np.linalg.norm(a.t - b.t)) < 1e-4 * float(np.linalg.norm(a.t))

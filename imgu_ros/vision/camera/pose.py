@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a camera before a plane."""
+"""Poses with their covariance, and the one or two poses that the view of a plane allows."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from imgu_ros.errors import ShapeError
+from imgu_ros.errors import EstimationError, ShapeError
 from imgu_ros.types import Floats, Matrix3, as_floats
+from imgu_ros.vision.camera.calibration_test import CalibrationTest
 from imgu_ros.vision.camera.rigid import RigidTransform
 
 #: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
+#: benchmarks/thresholds.py, study ambiguity.
+_REFUTED = 5.0
+
+_Start = TypeVar("_Start")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,3 +85,64 @@ class Pose:
         J[:3, 3:] = -inverse.R @ cross
         shared = None if self.shared is None else J @ self.shared
         return Pose(inverse.R, inverse.t, J @ self.covariance @ J.T, self.rms_px, shared)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarPoses:
+    """The poses that the view of a plane allows.
+
+    Attributes
+    ----------
+    solutions : one or two refined poses camera_from_plane, best first; a second one that is refuted clearly, by five
+        times the error, is left out
+    ambiguity : best / second-best RMS reprojection error, 0 (clear) to 1; 0 when only one pose lies before the camera
+    calibration : what the best one leaves unexplained, and how that depends on the camera; None: not asked for, or
+        there are no more points than a homography needs
+    """
+
+    solutions: tuple[Pose, ...]
+    ambiguity: float
+    calibration: CalibrationTest | None = None
+
+
+def ranked_poses_unchecked(
+    starts: Iterable[_Start], start_rms_px: Callable[[_Start], float], refined: Callable[[_Start], Pose]
+) -> PlanarPoses:
+    """Refine the poses that the view of a plane allows, and rank them by their error.
+
+    Parameters
+    ----------
+    starts : poses camera_from_plane, the better one first: most second ones are refuted without refinement
+    start_rms_px : root mean square error of a start, px; may raise EstimationError
+    refined : the pose of least error near a start; may raise EstimationError
+
+    Returns
+    -------
+    Without solutions when every start failed.
+    """
+    found: list[Pose] = []
+    refuted_px = math.inf
+    for start in starts:
+        try:
+            if found:
+                start_px = start_rms_px(start)
+                if start_px > _REFUTED * found[0].rms_px:
+                    refuted_px = start_px
+                    continue
+            found.append(refined(start))
+        except EstimationError:
+            continue  # a start behind the camera or at a grazing angle is no solution
+    if not found:
+        return PlanarPoses((), 0.0)
+    if len(found) > 1:
+        found.sort(key=lambda pose: pose.rms_px)
+        if _same(found[0], found[1]):
+            found = found[:1]
+    second_px = found[1].rms_px if len(found) > 1 else refuted_px
+    return PlanarPoses(tuple(found), found[0].rms_px / second_px if second_px > 0 else 0.0)
+
+
+def _same(a: Pose, b: Pose) -> bool:
+    """Whether two refinements ended in the same minimum, to 0.1 mrad and a ten thousandth of the distance."""
+    angle = math.acos(min(1.0, max(-1.0, (float(np.trace(a.R.T @ b.R)) - 1) / 2)))
+    return angle < 1e-4 and float(np.linalg.norm(a.t - b.t)) < 1e-4 * float(np.linalg.norm(a.t))

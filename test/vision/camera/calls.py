@@ -20,8 +20,9 @@ from imgu_ros.vision.camera.distortion import bend, bend_with_derivatives, fold_
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.euler import euler_angles, from_euler
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_pose_starts, planar_poses
+from imgu_ros.vision.camera.planar_pose import planar_pose_starts, planar_poses
 from imgu_ros.vision.camera.plane_view import plane_homography, pose_from_plane_homography
+from imgu_ros.vision.camera.pose import PlanarPoses
 from imgu_ros.vision.camera.pose_estimate import PoseModel, estimate_pose, fit_pose
 from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
 from imgu_ros.vision.camera.projection import (

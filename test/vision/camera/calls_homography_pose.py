@@ -8,12 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from imgu_ros.types import Matrix3, Points
-from imgu_ros.vision.camera.homography_pose import poses_of_homography
-from imgu_ros.vision.camera.intrinsics import make_camera
-from imgu_ros.vision.camera.ippe import poses_about_point
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses, weighed_poses
+from imgu_ros.vision.camera.homography_pose import poses_about_point, poses_of_homography
 from imgu_ros.vision.camera.plane_view import plane_homography
-from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.pose import PlanarPoses
 from imgu_ros.vision.camera.rotation import exp_so3
 from imgu_ros.vision.projective.homography import HomographyNormalEquations, homography_normal_equations
 from imgu_ros.vision.projective.plane_motion import PlaneMotion
@@ -48,10 +45,6 @@ def posed(displacements: Points, H: Matrix3) -> PlanarPoses:
     return poses_of_homography(condensed(displacements, H), K(), PLANE)
 
 
-def pose() -> Pose:
-    return planar_poses(POINTS / 500, POINTS + 200, make_camera(K(), [], "plumb_bob", 640, 480)).solutions[0]
-
-
 CALLS: dict[Callable[..., object], Callable[[Generator], dict[str, object]]] = {
     poses_of_homography: lambda rng: {
         "homography": condensed(noise(rng), view() @ PLANE),
@@ -62,10 +55,5 @@ CALLS: dict[Callable[..., object], Callable[[Generator], dict[str, object]]] = {
     poses_about_point: lambda rng: {
         "H": np.linalg.solve(K(), view()) + rng.normal(0, 0.001, (3, 3)),
         "point": rng.uniform(-0.1, 0.1, 2),
-    },
-    weighed_poses: lambda _: {
-        "starts": [pose().transform],
-        "start_rms_px": lambda start: 1.0,
-        "refined": lambda start: pose(),
     },
 }

@@ -16,8 +16,8 @@ from imgu_ros.vision.camera.camera_covariance import as_covariance, with_covaria
 from imgu_ros.vision.camera.camera_derivatives import ideal_by_camera, raw_by_camera
 from imgu_ros.vision.camera.homography_pose import poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses
-from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.planar_pose import planar_poses
+from imgu_ros.vision.camera.pose import PlanarPoses, Pose
 from imgu_ros.vision.camera.pose_estimate import fit_pose
 from imgu_ros.vision.camera.pose_fusion import fuse_poses
 from imgu_ros.vision.camera.rigid import RigidTransform

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import DegenerateConfiguration
-from imgu_ros.vision.camera.homography_pose import poses_of_homography
+from imgu_ros.vision.camera.homography_pose import poses_about_point, poses_of_homography
 from imgu_ros.vision.camera.intrinsics import make_camera
-from imgu_ros.vision.camera.ippe import poses_about_point
-from imgu_ros.vision.camera.planar_pose import PlanarPoses, planar_poses
+from imgu_ros.vision.camera.planar_pose import planar_poses
+from imgu_ros.vision.camera.pose import PlanarPoses
 from imgu_ros.vision.camera.rotation import exp_so3, log_so3
 from imgu_ros.vision.projective.homography import homography_normal_equations
 from imgu_ros.vision.projective.plane_motion import PlaneMotion
