@@ -17,9 +17,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from fuzz.corpus import CORPUS, run_entry
+from fuzz.corpus import CORPUS
 from fuzz.kinds import KINDS, PICTURE, RECORDING, generated, in_turn, write_case
-from fuzz.pool import MOST_MB, MOST_SECONDS, Pool
+from fuzz.pool import MOST_MB, MOST_SECONDS, Pool, run_entry
 from fuzz.worker import Answer, Request
 
 _DEEP_EVERY = {RECORDING: 100, PICTURE: 5}

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from fuzz.corpus import CORPUS
 from fuzz.worker import Answer, Request
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -116,6 +117,20 @@ class Pool:
                 if pipe is not None:
                     pipe.close()
             self._worker = None
+
+
+def run_entry(pool: Pool, name: str) -> tuple[list[str], Answer]:
+    """Run a named case; return what is wrong with it, and what it cost."""
+    entry = CORPUS[name]
+    answer = pool.run(Request("", corpus=name))
+    failures = list(answer.failures)
+    if entry.is_read is not None and entry.is_read != answer.read:
+        failures.append(f"need it to be {'read' if entry.is_read else 'refused'}; said: {answer.said}")
+    if answer.messages < entry.messages:
+        failures.append(f"{answer.messages} messages; need {entry.messages}; said: {answer.said}")
+    if entry.says not in " ".join(answer.said):
+        failures.append(f"need {entry.says!r} in what is said: {answer.said}")
+    return failures, answer
 
 
 def _fast_folder() -> str | None:

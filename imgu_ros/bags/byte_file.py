@@ -4,12 +4,16 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from imgu_ros.errors import BagError
 
 #: Small records that follow one another are read in blocks of this size.
 _BLOCK_BYTES = 2**12
+#: Blocks of a search, the first and the largest: most searches end soon.
+_FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
 
 
 class ByteFile:
@@ -73,6 +77,23 @@ class ByteFile:
             return self.read(offset, size)
         self._block, self._block_start = self.read(offset, min(_BLOCK_BYTES, self.size - offset)), offset
         return self._block[:size]
+
+    def find(self, pattern: re.Pattern[bytes], start: int, end: int, reach: int) -> Iterator[int]:
+        """Yield the places between two places at which `pattern` matches, in ascending order.
+
+        Parameters
+        ----------
+        pattern : matches at most `reach` bytes, its lookahead included
+        """
+        at, size = start, _FIRST_SEARCH_BYTES
+        while at < end:
+            block = self.read(at, min(size + reach, end - at))
+            for match in pattern.finditer(block):
+                if match.start() >= size:
+                    break
+                yield at + match.start()
+            at += size
+            size = min(2 * size, _SEARCH_BYTES)
 
     def close(self) -> None:
         """Close the file; closing twice does nothing."""

@@ -79,10 +79,10 @@ class MessageReader(Typestore):
     def _begin(self, size: int, typename: str) -> None:
         """Begin a message of `size` bytes: lists of texts take ten times the memory of their bytes."""
         self._left = 1_000_000 * self._limits.message_mb
-        most = self._limits.message_mb / 4
+        most = self._limits.message_mb / 8
         if size > 1_000_000 * most and self._has_texts(typename, set()):
             raise BagError(
-                f"{size / 1e6:.0f} MB with lists of texts; need at most {most:g} (a quarter of limits.message_mb)"
+                f"{size / 1e6:.0f} MB with lists of texts; need at most {most:g} (an eighth of limits.message_mb)"
             )
 
     def charged(self, typename: str) -> Callable[..., Any]:

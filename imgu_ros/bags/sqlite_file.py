@@ -29,7 +29,7 @@ from imgu_ros.errors import BagError
 
 #: Steps of SQLite's virtual machine: for the schema, of which a bag has a handful; for each byte of the file (a row has
 #: 10 bytes at least, of rosbag2 37, and takes less than 40 steps in all); and after how many they are counted.
-_SCHEMA_STEPS, _STEPS_PER_BYTE, _COUNTED_STEPS = 200_000, 6, 10_000
+_SCHEMA_STEPS, _STEPS_PER_BYTE, _STEPS_PER_ROW, _COUNTED_STEPS = 200_000, 6, 60, 10_000
 _MOST_COLUMNS = 100
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 _WAL_MAGIC = (bytes.fromhex("377f0682"), bytes.fromhex("377f0683"))
@@ -99,9 +99,10 @@ class SqliteFile:
         except MemoryError:  # a forged length
             raise sqlite3.DatabaseError("it asks for more memory than there is") from None
 
-    def begin(self) -> None:
-        """Begin a pass over the rows, which may take steps again."""
-        self._steps_left = _SCHEMA_STEPS + _STEPS_PER_BYTE * self.size
+    def begin(self, most_rows: int | None = None) -> None:
+        """Begin a pass over a table, which may take steps again: as many as the file's size, or the rows, need."""
+        steps = _STEPS_PER_BYTE * self.size if most_rows is None else _STEPS_PER_ROW * most_rows
+        self._steps_left = _SCHEMA_STEPS + steps
 
     def fault(self, error: sqlite3.Error) -> str:
         """Return an error for people."""

@@ -187,7 +187,8 @@ class SqliteStorage:
             except sqlite3.DatabaseError as error:
                 faults.append(self._file.fault(error))
 
-        self._file.begin()
+        # Not by the file's size: in a sparse file, pages that are used again make very many rows.
+        self._file.begin(_MOST_NAMED)
         take(f"SELECT {key}, {names} FROM {table} ORDER BY {key}")
         if faults and left > 0 and len(found) < _MOST_NAMED:  # a row that cannot be read ends it
             # Of a long row, the first columns may be whole.

@@ -96,7 +96,7 @@ def record_simulation(
     _check_format(bag_format, encoding, simulation.sensor)
     _check_path(out)
     targets = tuple(targets) if targets is not None else default_targets(1, simulation.seed)
-    contents, name = _contents(out, targets, bag_format.storage), _bag_name(out)
+    contents, name = simulation_files(out, targets, bag_format.storage), _bag_name(out)
     check_output_folder(out, contents, overwrite=overwrite)
     # The first frame is made before the folder is touched: it raises what is wrong with the simulation.
     frames = simulate_sequence(simulation, targets, workers=min(4, os.cpu_count() or 1))
@@ -148,6 +148,15 @@ def simulated_encoding(name: str) -> Encoding:
     return encoding
 
 
+def simulation_files(out: Path, targets: Sequence[TargetImage], storage: str) -> OutputFiles:
+    """Return what is written: bag files last, so that nobody takes half a bag for a whole one."""
+    name = _bag_name(out)
+    unfinished = (f"{_UNFINISHED}/{name}/{file}" for file in unfinished_bag_files(name))
+    side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE)
+    bag = bag_files(name, storage)
+    return OutputFiles("simulation", (*unfinished, *side_files, *bag), bag[-1])
+
+
 def _check_path(out: Path) -> None:
     try:
         os.path.realpath(out).encode()
@@ -161,15 +170,6 @@ def _check_format(bag_format: BagFormat, encoding: Encoding, sensor: Sensor | No
         raise ParameterError(f"bits: {bits}; need {8 * encoding.dtype.itemsize} or fewer for {encoding.name}")
     if not 0 <= bag_format.row_padding <= 65536:
         raise ParameterError(f"row padding: {bag_format.row_padding} bytes; need 0 to 65536")
-
-
-def _contents(out: Path, targets: Sequence[TargetImage], storage: str) -> OutputFiles:
-    """Return what is written: bag files last, so that nobody takes half a bag for a whole one."""
-    name = _bag_name(out)
-    unfinished = (f"{_UNFINISHED}/{name}/{file}" for file in unfinished_bag_files(name))
-    side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE)
-    bag = bag_files(name, storage)
-    return OutputFiles("simulation", (*unfinished, *side_files, *bag), bag[-1])
 
 
 def _bag_name(out: Path) -> str:

@@ -12,13 +12,13 @@ from collections import Counter
 import pytest
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
+from fuzz.scan import identity, mcap_messages, rosbag1_messages
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.salvage import chunks
 from imgu_ros.bags.storage import MessageBlock, RawMessage, merge_by_time
 from imgu_ros.bags.writing import BagWriter
 from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
-from test.bags.scan import scan_mcap, scan_rosbag1
 
 CHUNKS = [[(10 * c + i, f"message {10 * c + i:03d} " * 5) for i in range(3)] for c in range(6)]
 ALL = [message for chunk in CHUNKS for message in chunk]
@@ -30,10 +30,10 @@ def read(path, limits=LimitsParameters()):  # noqa: B008 (frozen)
 
 
 def raw(path):
-    """Return (time, bytes) of each message, as the scans do, and the warnings; nothing when the file is refused."""
+    """Return the identity of each message, as the scans do, and the warnings; nothing when the file is refused."""
     try:
         with open_bag([path]) as bag:
-            return Counter((m.time_ns, bytes(m.data)) for m in bag.raw_messages()), bag.warnings
+            return Counter(identity(m.time_ns, m.data) for m in bag.raw_messages()), bag.warnings
     except BagError as error:
         return Counter(), (str(error),)
 
@@ -75,14 +75,14 @@ def test_never_fewer_messages_of_an_mcap_than_a_scan_finds(tmp_path, tiny_mcap, 
     data = made.data()
     if layout == "statistics":
         data = with_statistics(mcap_parts, data, 18, 6, {1: 18}, 0, 52)
-    assert sum(scan_mcap(data).values()) == len(ALL)
+    assert sum(mcap_messages(data).values()) == len(ALL)
     rng = random.Random(f"{compression} {layout}")
     path = tmp_path / "x.mcap"
     for number in range(60):
         damaged = data[: rng.randrange(8, len(data))] if number % 4 == 0 else data[:8] + mutated(data[8:], rng)
         path.write_bytes(damaged)
         got, warnings = raw(path)
-        lost = scan_mcap(damaged) - got
+        lost = mcap_messages(damaged) - got
         assert not lost, (number, lost, warnings)
         if layout == "statistics" and sum(got.values()) < len(ALL):
             assert warnings, number
@@ -93,7 +93,7 @@ def test_never_fewer_messages_of_a_ros1_bag_than_a_scan_finds(tmp_path, write_ro
     path = tmp_path / "x.bag"
     write_rosbag1(path, 8, compression)
     data = path.read_bytes()
-    assert sum(scan_rosbag1(data).values()) == 16
+    assert sum(rosbag1_messages(data).values()) == 16
     rng = random.Random(str(compression))
     for number in range(60):
         damaged = data[: rng.randrange(13, len(data))] if number % 4 == 0 else data[:13] + mutated(data[13:], rng)
@@ -101,7 +101,7 @@ def test_never_fewer_messages_of_a_ros1_bag_than_a_scan_finds(tmp_path, write_ro
         got, warnings = raw(path)
         if any("definitions of" in warning for warning in warnings):
             continue  # a connection that is not defined
-        lost = scan_rosbag1(damaged) - got
+        lost = rosbag1_messages(damaged) - got
         assert not lost, (number, lost, warnings)
         if sum(got.values()) < 16:
             assert warnings, number

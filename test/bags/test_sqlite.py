@@ -9,6 +9,7 @@ import sqlite3
 import struct
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -48,18 +49,18 @@ def database(path, *statements, rows=TWO, page=4096):
 
 
 def read(path, **limits):
-    began = time.monotonic()
+    began = time.process_time()
     with open_bag([path], limits=LimitsParameters(**limits)) as bag:
         found = [(message.time_ns, message.message.data) for message in bag.messages()]
-        assert time.monotonic() - began < 8
+        assert time.process_time() - began < 8
         return found, bag.warnings
 
 
 def refused(path) -> str:
-    began = time.monotonic()
+    began = time.process_time()
     with pytest.raises(BagError) as error:
         open_bag([path])
-    assert time.monotonic() - began < 8
+    assert time.process_time() - began < 8
     return str(error.value)
 
 
@@ -213,26 +214,41 @@ def table_page(page: int, pointer: int, count: int) -> bytes:
     return head.ljust(page - 6 * count, b"\0") + b"".join(reversed(cells))
 
 
-@pytest.mark.parametrize("levels", [3, 12])
-@pytest.mark.parametrize("order", [1, -1])
-def test_pages_that_lead_to_the_same_rows_again(tmp_path, levels, order):
-    """A few pages of which each leads to the next a hundred times: 100 ** levels rows."""
-    rows = [(1, i, cdr(str(i))) for i in range(20)][::order]
-    connection = database(tmp_path / "x.db3", rows=rows)
-    (root,) = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
-    (page,) = connection.execute("PRAGMA page_size").fetchone()
-    connection.close()
-    data = (tmp_path / "x.db3").read_bytes()
+def with_rows_again(path, table: str, levels: int) -> None:
+    """Have the root of a table lead to its only page again and again: 100 ** levels times the rows."""
+    with closing(sqlite3.connect(path)) as connection:
+        (root,) = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        (page,) = connection.execute("PRAGMA page_size").fetchone()
+    data = path.read_bytes()
     pages = len(data) // page
     leaf = data[(root - 1) * page : root * page]
     chain = [table_page(page, pages + i + 2, 100) for i in range(levels - 1)]
     forged = bytearray(data + b"".join(chain) + leaf)
     forged[(root - 1) * page : root * page] = table_page(page, pages + 1, 100)
     forged[28:32] = struct.pack(">I", len(forged) // page)
-    (tmp_path / "x.db3").write_bytes(forged)
-    found, warnings = read(tmp_path / "x.db3")
+    path.write_bytes(forged)
+
+
+@pytest.mark.parametrize("levels", [3, 12])
+@pytest.mark.parametrize("order", [1, -1])
+def test_pages_that_lead_to_the_same_rows_again(tmp_path, levels, order):
+    path = tmp_path / "x.db3"
+    database(path, rows=[(1, i, cdr(str(i))) for i in range(20)][::order]).close()
+    with_rows_again(path, "messages", levels)
+    found, warnings = read(path)
     assert {value for _, value in found} == {str(i) for i in range(20)}
     assert any("again" in line for line in warnings)
+
+
+def test_the_size_of_a_file_allows_no_endless_topics(tmp_path):
+    """Nearly all of a gigabyte is a hole."""
+    path = tmp_path / "x.db3"
+    database(path).close()
+    with_rows_again(path, "topics", 12)
+    os.truncate(path, 10**9)
+    found, warnings = read(path)
+    assert found == [(5, "a"), (6, "b")]
+    assert any("its table topics cannot be read whole" in line for line in warnings)
 
 
 def test_messages_that_share_their_bytes(tmp_path):

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from fuzz.corpus import run_entry
 from fuzz.corpus_pictures import ENTRIES
+from fuzz.pool import run_entry
 
 
 @pytest.mark.parametrize("name", ENTRIES)

@@ -22,8 +22,6 @@ from imgu_ros.errors import BagError
 
 LAST_KNOWN_OPCODE = 0x0F
 
-#: A search mostly ends soon.
-_FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
 # Chunks, messages and definitions whose length is below 2^40, the ends of data and file; each match is one byte, so
 # that none hides another.
 _CHUNK = rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))"
@@ -74,24 +72,12 @@ def prefix(head: bytes) -> tuple[int, int]:
 
 def candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
     """Yield the places where something begins that looks like a record or a file, in their order."""
-    yield from _matches(file, start, end, _CANDIDATE)
+    return file.find(_CANDIDATE, start, end, HEAD_BYTES)
 
 
 def chunk_candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
     """Yield the places where something begins that looks like a chunk, in their order."""
-    yield from _matches(file, start, end, _CHUNK_CANDIDATE)
-
-
-def _matches(file: ByteFile, start: int, end: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
-    at, size = start, _FIRST_SEARCH_BYTES
-    while at < end:
-        block = file.read(at, min(size + HEAD_BYTES, end - at))
-        for match in pattern.finditer(block):
-            if match.start() >= size:
-                break
-            yield at + match.start()
-        at += size
-        size = min(2 * size, _SEARCH_BYTES)
+    return file.find(_CHUNK_CANDIDATE, start, end, HEAD_BYTES)
 
 
 def is_record(file: ByteFile, at: int, before: Extent | None, known: Collection[int]) -> bool:

@@ -30,8 +30,8 @@ from imgu_ros.config.parameters import LimitsParameters
 from imgu_ros.errors import BagError
 
 _HEAD_BYTES = 2**8
-#: A search mostly ends soon.
-_FIRST_SEARCH_BYTES, _SEARCH_BYTES = 2**10, 2**20
+#: A record of the index with more connections is none.
+_MOST_CHUNK_INFO_BYTES = 2**20
 _INDEX_BYTES = 12 * 2**16
 _MOST_REMARKS = 20
 #: Messages outside of chunks are read in extents of about this size.
@@ -63,7 +63,7 @@ def index_rosbag1(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
 
 def rosbag1_chunks(file: ByteFile, start: int, end: int) -> Iterator[Extent]:
     """Yield the chunks between two places of a file, one behind the other."""
-    for at in _candidates(file, start, end, _CHUNK_CANDIDATE):
+    for at in file.find(_CHUNK_CANDIDATE, start, end, _HEAD_BYTES):
         if at < start:
             continue
         try:
@@ -200,7 +200,7 @@ class _Rosbag1Walk:
         run.counts[connection] = run.counts.get(connection, 0) + 1
 
     def take_chunk_info(self, header: RecordHeader, start: int) -> None:
-        if header.data_size != 8 * header.number("count") or header.data_size > _SEARCH_BYTES:
+        if header.data_size != 8 * header.number("count") or header.data_size > _MOST_CHUNK_INFO_BYTES:
             raise BagError(f"chunk info of {header.data_size} bytes for {header.number('count')} connections")
         self.listed_chunks += 1
         numbers = np.frombuffer(self.file.read(start, header.data_size), "<u4").reshape(-1, 2)
@@ -224,7 +224,7 @@ class _Rosbag1Walk:
             if broken == self.start:
                 return broken + len(MAGIC)
             start = broken - 1  # the bag that follows another begins where the other's last record ends
-        for at in _candidates(self.file, start + 1, self.file.size, _CANDIDATE):
+        for at in self.file.find(_CANDIDATE, start + 1, self.file.size, _HEAD_BYTES):
             if self.is_record(at):
                 self.found.gaps.append(Gap(broken if at > broken else start, at))
                 self.sure = at
@@ -276,16 +276,3 @@ def _header_at(file: ByteFile, at: int) -> RecordHeader:
     if at + header.data_offset + header.data_size > file.size:
         raise BagError(f"record of {header.data_size} bytes at byte {at} reaches beyond the end")
     return header
-
-
-def _candidates(file: ByteFile, start: int, end: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
-    """Yield the places where something that looks like a record begins, in their order."""
-    at, size = start, _FIRST_SEARCH_BYTES
-    while at < end:
-        block = file.read(at, min(size + _HEAD_BYTES, end - at))
-        for match in pattern.finditer(block):
-            if match.start() >= size:
-                break
-            yield at + match.start()
-        at += size
-        size = min(2 * size, _SEARCH_BYTES)
