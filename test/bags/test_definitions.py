@@ -106,7 +106,7 @@ def test_lists_of_texts():
     """Texts of two letters take ten times their bytes."""
     one = struct.pack("<I", 3) + b"ab\0\0"
     data = CDR + struct.pack("<I", 50_000) + one * 50_000
-    assert "0 MB with lists of texts; need at most 0.25" in refused(
+    assert "0 MB with lists of texts; need at most 0.125" in refused(
         "string[] x\n", data, limits=LimitsParameters(message_mb=1)
     )
     assert decoded("string[] x\n", data).x == ["ab"] * 50_000
