@@ -78,7 +78,7 @@ def test_what_cannot_be_made_is_said_once_and_the_next_is_made(built):
 
 def test_what_is_forgotten_is_not_taken(built, monkeypatch):
     may_go_on = threading.Event()
-    made = rebuilding.build
+    made = rebuilding.prepare_localizer
 
     def slow(*arguments: object) -> PreparedLocalizer:
         assert may_go_on.wait(20)
