@@ -22,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 
-from imgu_ros.bench.recipes import Features, Recipe
+from imgu_ros.bench.recipes import Recipe, RecipeFeatures
 from imgu_ros.config.parameters import TargetsParameters
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.messages.frame import decode_frame
@@ -40,7 +40,7 @@ class OrbNode(Node):
     def __init__(self, picture: Path, width_m: float) -> None:
         super().__init__("orb")
         targets = load_target_images(TargetsParameters(images=(str(picture),), widths_m=(width_m,)))
-        self._recipe = Recipe(Features.ORB, targets)
+        self._recipe = Recipe(RecipeFeatures.ORB, targets)
         self._info: CameraInfo | None = None
         self._poses = self.create_publisher(PoseStamped, "orb/pose", 10)
         freshest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

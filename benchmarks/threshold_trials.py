@@ -34,7 +34,7 @@ from imgu_ros.result import ReferenceResult, Status
 from imgu_ros.simulate.chessboard import random_chessboard_view
 from imgu_ros.simulate.conditions import PLAIN, Condition, condition_named
 from imgu_ros.simulate.geometry import image_from_template, rotation_about
-from imgu_ros.simulate.path import Motion
+from imgu_ros.simulate.path import CameraMotion
 from imgu_ros.simulate.pictures import look_alike
 from imgu_ros.simulate.placing import Placing, camera_before_target
 from imgu_ros.simulate.plane_matches import KINDS, PlaneMatches, plane_matches
@@ -208,7 +208,7 @@ def _clip(condition: Condition, frames: int, seed: int, unrelated: bool) -> Clip
 
 def fast_clip(frames: int, turns: float, seed: int) -> Clip:
     """Return a clip in which the target rolls and drifts several times as fast as under `plain`."""
-    motion = Motion(turns=turns)
+    motion = CameraMotion(turns=turns)
     return _clip(replace(PLAIN, name=f"fast-{turns:g}", placing=Placing(motion=motion)), frames, seed, False)
 
 

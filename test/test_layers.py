@@ -226,6 +226,16 @@ def test_rules_let_pass_what_is_allowed(name: str, text: str) -> None:
     assert [*wrong_imports(source), *wrong_fields(source)] == []
 
 
+def test_a_class_name_exists_once() -> None:
+    names: dict[str, list[str]] = {}
+    for source in package_sources():
+        for node in ast.walk(ast.parse(source.text)):
+            if isinstance(node, ast.ClassDef):
+                names.setdefault(node.name, []).append(source.name)
+    assert len(names) > 300
+    assert {name: modules for name, modules in names.items() if len(modules) > 1} == {}
+
+
 #: Places of one machine, and hosts of package indexes: the repository is for every machine.
 FOREIGN = re.compile(r"(?<![\w.~$}>-])/(home|root|tmp|work|Users)/\w|pypi\.org|pythonhosted", re.IGNORECASE)
 BINARY = {".png", ".jpg", ".pyc", ".mcap", ".db3", ".bag", ".npz", ".tiff", ".pgm"}

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imgu_ros.bench.measuring import Measured, Sample
+from imgu_ros.bench.measuring import FrameMeasurement, Measured
 from imgu_ros.simulate.truth import NEES_95
 
 #: A homography further off than this is no find.
@@ -98,14 +98,14 @@ def figures(condition: str, kind: str, size: str, method: str, runs: Sequence[Me
     )
 
 
-def is_false(sample: Sample) -> bool:
+def is_false(sample: FrameMeasurement) -> bool:
     """Whether a method said that it found a target that is elsewhere, or not there."""
     if not sample.answered:
         return False
     return not sample.present or sample.corner_px is None or sample.corner_px > FOUND_PX
 
 
-def _kind_of_reason(sample: Sample) -> str:
+def _kind_of_reason(sample: FrameMeasurement) -> str:
     """Return a reason without its numbers: what frames have in common."""
     words = f"{sample.status}: {sample.reason}".split()
     return " ".join("#" if any(c.isdigit() for c in word) else word for word in words)

@@ -11,7 +11,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from imgu_ros.bench.methods import Answer, Method
+from imgu_ros.bench.methods import Answer, BenchmarkMethod
 from imgu_ros.errors import ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.scene import size_of
@@ -22,7 +22,7 @@ from imgu_ros.vision.camera.rotation import log_so3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class FrameMeasurement:
     """One method, one frame, one target.
 
     Attributes
@@ -64,12 +64,12 @@ class Timing:
 class Measured:
     """All samples and timings of a run."""
 
-    samples: list[Sample]
+    samples: list[FrameMeasurement]
     timings: list[Timing]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Show:
+class MeasurementPlan:
     """Frames, and the methods that they are shown to.
 
     Attributes
@@ -80,13 +80,13 @@ class Show:
     every : methods that see every n-th frame only, by name
     """
 
-    methods: Sequence[Method]
+    methods: Sequence[BenchmarkMethod]
     batches: Iterable[Sequence[SimulatedFrame]]
     targets: Sequence[TargetImage]
     every: Mapping[str, int] = field(default_factory=dict)
 
 
-def measure(show: Show) -> Measured:
+def measure(show: MeasurementPlan) -> Measured:
     """Show the same frames to every method.
 
     On each frame the methods take turns, and who begins changes from frame to frame, so that a slower or faster moment
@@ -99,7 +99,7 @@ def measure(show: Show) -> Measured:
     return measure_in_turn([show])[0]
 
 
-def measure_in_turn(shows: Sequence[Show]) -> list[Measured]:
+def measure_in_turn(shows: Sequence[MeasurementPlan]) -> list[Measured]:
     """Measure several shows, a list of frames of each in turn, so that a slower moment of the machine meets all alike.
 
     Returns
@@ -118,7 +118,7 @@ def measure_in_turn(shows: Sequence[Show]) -> list[Measured]:
     return measured
 
 
-def _shown_batch(show: Show, batch: Sequence[SimulatedFrame], first: int, measured: Measured) -> None:
+def _shown_batch(show: MeasurementPlan, batch: Sequence[SimulatedFrame], first: int, measured: Measured) -> None:
     sizes = {target.name: size_of(target) for target in show.targets}
     for index, simulated in enumerate(batch, first):
         turn = index % len(show.methods)
@@ -128,7 +128,7 @@ def _shown_batch(show: Show, batch: Sequence[SimulatedFrame], first: int, measur
 
 
 def _shown(
-    method: Method,
+    method: BenchmarkMethod,
     index: int,
     simulated: SimulatedFrame,
     sizes: Mapping[str, tuple[int, int]],
@@ -158,8 +158,8 @@ def _sample(
     truths: Sequence[Truth],
     sizes: Mapping[str, tuple[int, int]],
     simulated: SimulatedFrame,
-) -> Sample:
-    plain = Sample(
+) -> FrameMeasurement:
+    plain = FrameMeasurement(
         method, index, answer.target, bool(truths), answer.H is not None, status=answer.status, reason=answer.reason
     )
     if answer.H is None or not truths:
@@ -176,7 +176,7 @@ def _sample(
         translation = float(100 * np.linalg.norm(delta_t) / np.linalg.norm(true.t))
         if answer.covariance is not None:
             nees = normalised_squared_error(true, pose, answer.covariance)
-    return Sample(
+    return FrameMeasurement(
         method,
         index,
         answer.target,

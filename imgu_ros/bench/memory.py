@@ -52,7 +52,7 @@ def peak_memory(method: str, width: int, height: int) -> PeakMemory:
     """
     import numpy as np
 
-    from imgu_ros.bench.lineup import check_method
+    from imgu_ros.bench.recipes import check_method
     from imgu_ros.simulate.conditions import PLAIN
     from imgu_ros.simulate.trials import Trial, trial_frames
 
@@ -97,7 +97,7 @@ def main() -> None:
     arguments = parser.parse_args()
     import numpy as np
 
-    from imgu_ros.bench.lineup import make_method
+    from imgu_ros.bench.recipes import make_method
     from imgu_ros.frame import Frame
     from imgu_ros.simulate.conditions import PLAIN
     from imgu_ros.simulate.sequence import default_camera

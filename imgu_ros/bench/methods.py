@@ -46,7 +46,7 @@ class Answered:
     stages_ns: Mapping[str, int] = field(default_factory=dict)
 
 
-class Method(Protocol):
+class BenchmarkMethod(Protocol):
     """Finds known targets in raw frames."""
 
     @property

@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from imgu_ros.bench.figures import Figures
-from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TITLES, TRACKING
+from imgu_ros.bench.recipes import DETECTION, ORB, SIFT, TITLES, TRACKING
 from imgu_ros.bench.suites import SEQUENCE, SINGLE
 from imgu_ros.file_access.atomic_files import write_whole
 from imgu_ros.files.plot_style import plot_style

@@ -14,7 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgu_ros.bench.methods import Answer, Answered
+from imgu_ros.bench.methods import Answer, Answered, BenchmarkMethod, ChainMethod
+from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.reference.templates import TargetImage
@@ -45,18 +47,18 @@ _TO_GREY = {
 }
 
 
-class Features(Choice):
+class RecipeFeatures(Choice):
     """The features of a recipe."""
 
     ORB = "orb"
     SIFT = "sift"
 
 
-_DETECTORS: dict[Features, Callable[[], Any]] = {
-    Features.ORB: lambda: cv2.ORB_create(FEATURES),  # type: ignore[attr-defined, unused-ignore]
-    Features.SIFT: lambda: cv2.SIFT_create(FEATURES),  # type: ignore[attr-defined, unused-ignore]
+_DETECTORS: dict[RecipeFeatures, Callable[[], Any]] = {
+    RecipeFeatures.ORB: lambda: cv2.ORB_create(FEATURES),  # type: ignore[attr-defined, unused-ignore]
+    RecipeFeatures.SIFT: lambda: cv2.SIFT_create(FEATURES),  # type: ignore[attr-defined, unused-ignore]
 }
-_NORMS = {Features.ORB: cv2.NORM_HAMMING, Features.SIFT: cv2.NORM_L2}
+_NORMS = {RecipeFeatures.ORB: cv2.NORM_HAMMING, RecipeFeatures.SIFT: cv2.NORM_L2}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,8 +86,8 @@ class Recipe:
         If a target has no features.
     """
 
-    def __init__(self, features: Features | str, targets: Sequence[TargetImage]) -> None:
-        features = Features(features)
+    def __init__(self, features: RecipeFeatures | str, targets: Sequence[TargetImage]) -> None:
+        features = RecipeFeatures(features)
         self.name = features.value.upper()
         self._detector = _DETECTORS[features]()
         self._matcher = cv2.BFMatcher(_NORMS[features])
@@ -164,3 +166,40 @@ def _pose(metres: Floats, image: Floats, K: Matrix3) -> RigidTransform | None:
     return RigidTransform(
         np.asarray(cv2.Rodrigues(rotation)[0], np.float64), np.asarray(translation, np.float64).ravel()
     )
+
+
+TRACKING, DETECTION, ORB, SIFT = "tracking", "detection", "ORB", "SIFT"
+#: What tables and plots call them.
+TITLES = {TRACKING: "ours, tracking", DETECTION: "ours, detecting", ORB: "ORB recipe", SIFT: "SIFT recipe"}
+
+#: Every method: its name, and how it is made of parameters (the chain's) and targets.
+METHODS: dict[str, Callable[[Parameters, Sequence[TargetImage]], BenchmarkMethod]] = {
+    TRACKING: lambda p, t: ChainMethod(TRACKING, parameters_from({"tracking.enabled": True}, p), t),
+    DETECTION: lambda p, t: ChainMethod(DETECTION, parameters_from({"tracking.enabled": False}, p), t),
+    ORB: lambda p, t: Recipe(RecipeFeatures.ORB, t),
+    SIFT: lambda p, t: Recipe(RecipeFeatures.SIFT, t),
+}
+
+
+def make_method(name: str, targets: Sequence[TargetImage], parameters: Parameters | None = None) -> BenchmarkMethod:
+    """Return a method, ready for frames.
+
+    Parameters
+    ----------
+    name : tracking, detection, ORB or SIFT
+    targets : the known ones
+    parameters : the chain's; None: the defaults
+
+    Raises
+    ------
+    ParameterError
+        If there is no such method.
+    """
+    check_method(name)
+    return METHODS[name](parameters or Parameters(), targets)
+
+
+def check_method(name: str) -> None:
+    """Raise ParameterError when there is no method of that name."""
+    if name not in METHODS:
+        raise ParameterError(f"method: {name!r}; need one of {', '.join(METHODS)}")

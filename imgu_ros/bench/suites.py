@@ -11,9 +11,9 @@ import numpy as np
 
 from imgu_ros.arguments import shown_value
 from imgu_ros.bench.figures import Figures, figures
-from imgu_ros.bench.lineup import DETECTION, METHODS, ORB, SIFT, TRACKING, check_method, make_method
-from imgu_ros.bench.measuring import Show, measure, measure_in_turn
+from imgu_ros.bench.measuring import MeasurementPlan, measure, measure_in_turn
 from imgu_ros.bench.memory import PeakMemory, peak_memory, resident_mb
+from imgu_ros.bench.recipes import DETECTION, METHODS, ORB, SIFT, TRACKING, check_method, make_method
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ParameterError
 from imgu_ros.reference.templates import TargetImage
@@ -163,7 +163,7 @@ def _run(
             trial = Trial(condition, *size, options.frames, seed, unrelated)
             targets = known_targets(trial)
             methods = [make_method(name, targets, options.parameters) for name in names]
-            shows.append(Show(methods, trial_batches(trial, _BATCH), targets, every))
+            shows.append(MeasurementPlan(methods, trial_batches(trial, _BATCH), targets, every))
         runs.append(measure_in_turn(shows))
     for number, size in enumerate(sizes):
         for name in names:
@@ -181,7 +181,7 @@ def _negatives(options: Options) -> Iterator[Row]:
             targets = known_targets(Trial(PLAIN, seed=seed))
             methods = [make_method(name, targets, options.parameters) for name in names]
             frames = absent_frames(photographs, targets[0].pixels, size, options.negatives, seed)
-            runs.append(measure(Show(methods, _batches(frames), targets)))
+            runs.append(measure(MeasurementPlan(methods, _batches(frames), targets)))
         for name in names:
             yield figures("photographs" if options.photographs else "textures", ABSENT, _text(size), name, runs)
 
@@ -207,7 +207,7 @@ def _targets(options: Options) -> Iterator[Row]:
             methods = [make_method(name, targets, options.parameters) for name in names]
             simulation = Simulation(*size, max(options.frames, LAP_FRAMES), 30.0, options.seeds[0])
             frames = islice(simulate_sequence(simulation, in_view), options.frames)
-            measured = measure(Show(methods, _batches(frames), targets))
+            measured = measure(MeasurementPlan(methods, _batches(frames), targets))
             for name in names:
                 yield figures(f"known-{known}", SEQUENCE, _text(size), name, [measured])
 

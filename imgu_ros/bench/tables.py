@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imgu_ros.bench.figures import Figures
-from imgu_ros.bench.lineup import ORB, SIFT, TITLES
 from imgu_ros.bench.memory import PeakMemory
+from imgu_ros.bench.recipes import ORB, SIFT, TITLES
 from imgu_ros.bench.suites import ABSENT, SEQUENCE, Growth, Row
 from imgu_ros.simulate.conditions import PLAIN
 

@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _options(arguments: argparse.Namespace) -> Options:
     parameters = parameters_of(arguments)
-    from imgu_ros.bench.lineup import METHODS
+    from imgu_ros.bench.recipes import METHODS
     from imgu_ros.bench.suites import Options
     from imgu_ros.simulate.conditions import CONDITIONS, condition_named
 

@@ -143,7 +143,7 @@ def _format(arguments: argparse.Namespace) -> BagFormat:
 def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulation:
     from imgu_ros.errors import ParameterError
     from imgu_ros.replay.recording import simulated_encoding
-    from imgu_ros.simulate.path import Motion
+    from imgu_ros.simulate.path import CameraMotion
     from imgu_ros.simulate.sequence import Simulation, check_simulation
     from imgu_ros.vision.formation.sensor import Sensor
 
@@ -159,7 +159,7 @@ def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulat
         seed=arguments.seed,
         layout=encoding.layout,
         sensor=Sensor(bits, arguments.full_well, arguments.read_noise, arguments.black_level),
-        motion=Motion(turns=arguments.turns, tilt_rad=math.radians(arguments.tilt), zoom=arguments.zoom),
+        motion=CameraMotion(turns=arguments.turns, tilt_rad=math.radians(arguments.tilt), zoom=arguments.zoom),
         camera=_camera(arguments),
         capture=_capture(arguments),
     )

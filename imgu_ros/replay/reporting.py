@@ -10,7 +10,7 @@ from imgu_ros.replay.result_files import FRAMES, REPORT, SUMMARY, replay_content
 from imgu_ros.replay.statistics import FinishedReplay
 from imgu_ros.report.accuracy import TruthComparison
 from imgu_ros.report.html import write_report
-from imgu_ros.report.samples import Sample
+from imgu_ros.report.samples import AnnotatedFrame
 from imgu_ros.report.summary import (
     Summary,
     input_rate_hz,
@@ -23,7 +23,7 @@ from imgu_ros.report.table import FrameTable, read_frame_table
 from imgu_ros.report.versions import versions
 
 
-def write_summary_and_report(replayed: FinishedReplay, samples: Sequence[Sample]) -> Summary:
+def write_summary_and_report(replayed: FinishedReplay, samples: Sequence[AnnotatedFrame]) -> Summary:
     """Write both files; the summary's warnings may be more than were known.
 
     Raises

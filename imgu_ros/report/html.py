@@ -18,7 +18,7 @@ from imgu_ros.file_access.text_files import write_text
 from imgu_ros.files.plot_style import plot_style
 from imgu_ros.report import plots
 from imgu_ros.report.digits import figures
-from imgu_ros.report.samples import Sample
+from imgu_ros.report.samples import AnnotatedFrame
 from imgu_ros.report.summary import Summary
 from imgu_ros.report.table import FrameTable
 from imgu_ros.shown_text import shown
@@ -39,7 +39,7 @@ class Picture:
     caption: str
 
 
-def write_report(path: Path, table: FrameTable, summary: Summary, samples: Sequence[Sample]) -> None:
+def write_report(path: Path, table: FrameTable, summary: Summary, samples: Sequence[AnnotatedFrame]) -> None:
     """Write the report.
 
     Parameters
@@ -105,7 +105,7 @@ def _plot(figure: Figure, title: str, caption: str) -> Picture:
     return Picture(_uri("image/png", buffer.getvalue()), title, caption)
 
 
-def _sample_picture(sample: Sample, table: FrameTable) -> Picture:
+def _sample_picture(sample: AnnotatedFrame, table: FrameTable) -> Picture:
     seconds = (sample.stamp_ns - int(table.stamp_ns.min())) / 1e9 if len(table) else 0.0
     return Picture(_uri("image/jpeg", sample.jpeg), f"frame {sample.index}, {seconds:.2f} s", sample.caption)
 

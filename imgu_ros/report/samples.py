@@ -20,7 +20,7 @@ _QUALITY = 85
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class AnnotatedFrame:
     """One annotated frame.
 
     Attributes
@@ -84,7 +84,7 @@ class Samples:
 
     def __init__(self, expected: int = 0) -> None:
         self._choice = SampleChoice(expected)
-        self._kept: dict[int, Sample] = {}
+        self._kept: dict[int, AnnotatedFrame] = {}
 
     def offer(self, index: int, result: Result) -> None:
         """Look at frame number `index`, the next one, and draw it when it is to be kept."""
@@ -93,16 +93,16 @@ class Samples:
             wanted = {*self._choice.even, *self._choice.misses}
             self._kept = {number: sample for number, sample in self._kept.items() if number in wanted}
 
-    def chosen(self) -> tuple[Sample, ...]:
+    def chosen(self) -> tuple[AnnotatedFrame, ...]:
         """Return the kept samples in order of time."""
         even = self._choice.even
         places = np.linspace(0, len(even) - 1, min(_KEPT, len(even)))
         return tuple(self._kept[index] for index in sorted({*(even[round(p)] for p in places), *self._choice.misses}))
 
 
-def _sample(index: int, result: Result) -> Sample:
+def _sample(index: int, result: Result) -> AnnotatedFrame:
     caption = ", ".join(f"{t.name}: {t.status.value}" for t in result)
-    return Sample(index, result.frame.stamp_ns, caption, _jpeg(draw_result(result)))
+    return AnnotatedFrame(index, result.frame.stamp_ns, caption, _jpeg(draw_result(result)))
 
 
 def _jpeg(picture: Image) -> bytes:

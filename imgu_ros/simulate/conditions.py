@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from imgu_ros.errors import ParameterError, nearest_name
-from imgu_ros.simulate.path import Motion
+from imgu_ros.simulate.path import CameraMotion
 from imgu_ros.simulate.placing import Placing
 from imgu_ros.vision.camera.distortion_model import DistortionModel
 
 
-class Show(StrEnum):
+class SceneContent(StrEnum):
     """What stands before the camera."""
 
     TARGET = "target"  #: the known target
@@ -47,7 +47,7 @@ class Condition:
 
     name: str
     description: str
-    show: Show = Show.TARGET
+    show: SceneContent = SceneContent.TARGET
     placing: Placing = field(default_factory=Placing)
     occluded: float = 0.0
     specular: float = 0.0
@@ -89,11 +89,11 @@ CONDITIONS: tuple[Condition, ...] = (
         Condition(f"tilt-{a}", f"tilt of {a} degrees", placing=Placing(tilt_rad=math.radians(a)), extreme=a > 60)
         for a in (20, 40, 60, 70)
     ),
-    Condition("roll", "three turns in the image plane", placing=Placing(motion=Motion(turns=3.0))),
-    Condition("repeated-texture", "16 of 20 tiles of the target are alike", show=Show.REPEATED),
-    Condition("two-copies", "the target printed twice", show=Show.TWO_COPIES),
-    Condition("look-alikes", "two targets with the same header", show=Show.LOOK_ALIKES),
-    Condition("no-target", "only one that looks like the target", show=Show.ABSENT),
+    Condition("roll", "three turns in the image plane", placing=Placing(motion=CameraMotion(turns=3.0))),
+    Condition("repeated-texture", "16 of 20 tiles of the target are alike", show=SceneContent.REPEATED),
+    Condition("two-copies", "the target printed twice", show=SceneContent.TWO_COPIES),
+    Condition("look-alikes", "two targets with the same header", show=SceneContent.LOOK_ALIKES),
+    Condition("no-target", "only one that looks like the target", show=SceneContent.ABSENT),
 )
 
 

@@ -18,7 +18,7 @@ _MOST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class CameraMotion:
     """How far the camera goes in one sequence.
 
     Attributes
@@ -38,7 +38,7 @@ class Motion:
 
 
 def camera_from_scene_at(
-    progress: float, motion: Motion, camera: Camera, scene_radius_m: float, seed: int = 0
+    progress: float, motion: CameraMotion, camera: Camera, scene_radius_m: float, seed: int = 0
 ) -> RigidTransform:
     """Return where the camera is, `camera_from_scene`.
 

@@ -11,7 +11,7 @@ import numpy as np
 from imgu_ros.errors import ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import image_from_template, rotation_about
-from imgu_ros.simulate.path import Motion, camera_from_scene_at
+from imgu_ros.simulate.path import CameraMotion, camera_from_scene_at
 from imgu_ros.simulate.scene import Scene, size_of, template_matrix
 from imgu_ros.simulate.truth import points_in_image
 from imgu_ros.types import Matrix3, Points
@@ -27,7 +27,7 @@ _LARGEST_TURN_RAD = math.radians(80)
 
 @dataclass(frozen=True, slots=True)
 class Placing:
-    """What is prescribed; the rest is as in a `Motion`.
+    """What is prescribed; the rest is as in a `CameraMotion`.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Placing:
     outside : share of the target's area that lies outside the image
     """
 
-    motion: Motion = field(default_factory=Motion)
+    motion: CameraMotion = field(default_factory=CameraMotion)
     tilt_rad: float | None = None
     width_share: float | None = None
     outside: float = 0.0
@@ -80,7 +80,7 @@ def outside_share(camera_from_scene: RigidTransform, camera: Camera, scene: Scen
 
 
 def _prescribed(
-    progress: float, placing: Placing, motion: Motion, camera: Camera, scene: Scene, seed: int
+    progress: float, placing: Placing, motion: CameraMotion, camera: Camera, scene: Scene, seed: int
 ) -> RigidTransform:
     rng = np.random.default_rng([seed, 0x91AC])
     tilt0, azimuth0, distance0, drift_x0, drift_y0, roll0 = rng.uniform(0, 2 * math.pi, 6)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -14,23 +15,23 @@ from imgu_ros.errors import ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.boxes import boxes, strips
 from imgu_ros.simulate.capture import View
-from imgu_ros.simulate.coverage import rectangle_coverage
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.levels import Levels
 from imgu_ros.simulate.optics import PixelGrid, PlaneMap
 from imgu_ros.simulate.scene import Scene, size_of, template_matrix
-from imgu_ros.simulate.wall import WALL_REFLECTANCE, Wall
+from imgu_ros.simulate.texture import wall_texture
 from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: Samples along each side of a pixel.
 SAMPLES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class _Sites:
+class _PixelSites:
     """Pixels of one colour phase: every `step`-th row and column, and (plane, channel of the output) measured there."""
 
     row: int
@@ -162,17 +163,17 @@ def _area_means(planes: list[Image], m: PlaneMap) -> list[Image]:
     return [s.reshape(n * n, rows, columns).mean(axis=0) for s in samples]
 
 
-def _sites(layout: PixelLayout) -> tuple[_Sites, ...]:
+def _sites(layout: PixelLayout) -> tuple[_PixelSites, ...]:
     if layout.color is ColorModel.BAYER and layout.pattern is not None:
-        return tuple(_Sites(i // 2, i % 2, 2, ((color, 0),)) for i, color in enumerate(layout.pattern.value))
+        return tuple(_PixelSites(i // 2, i % 2, 2, ((color, 0),)) for i, color in enumerate(layout.pattern.value))
     if layout.color is ColorModel.MONO:
-        return (_Sites(0, 0, 1, (("y", 0),)),)
+        return (_PixelSites(0, 0, 1, (("y", 0),)),)
     if layout.color in (ColorModel.RGB, ColorModel.BGR):
-        return (_Sites(0, 0, 1, tuple((color, layout.color.value.index(color)) for color in "rgb")),)
+        return (_PixelSites(0, 0, 1, tuple((color, layout.color.value.index(color)) for color in "rgb")),)
     raise ShapeError(f"layout: {layout.color}; need bayer with a pattern, mono, rgb or bgr")
 
 
-def _site_slices(sites: _Sites, rows: slice, columns: slice) -> tuple[slice, slice]:
+def _site_slices(sites: _PixelSites, rows: slice, columns: slice) -> tuple[slice, slice]:
     """Return the sites within a block that starts at even coordinates."""
     return (
         slice(rows.start + sites.row, rows.stop, sites.step),
@@ -183,3 +184,88 @@ def _site_slices(sites: _Sites, rows: slice, columns: slice) -> tuple[slice, sli
 def _channel(out: Image, where: tuple[slice, slice], channel: int) -> Image:
     block: Image = out[where] if out.ndim == 2 else out[*where, channel]
     return block
+
+
+_SIDE_PX = 1024
+#: The texture repeats after this many scene radii.
+_PERIOD_RADII = 4.0
+#: Mean reflectance by plane.
+WALL_REFLECTANCE = {"r": 0.24, "g": 0.23, "b": 0.21, "y": 0.23}
+
+
+class Wall:
+    """Texture levels of the wall, each half the size of the one before."""
+
+    def __init__(self, scene_radius_m: float) -> None:
+        """Scale the texture to a scene of this radius."""
+        self._texel_m = _PERIOD_RADII * scene_radius_m / _SIDE_PX
+        self._levels = _levels()
+
+    def image_from_wall(self, K: Matrix3, camera_from_scene: RigidTransform, wall_m: float) -> Matrix3:
+        """Return the (3, 3) map from texels to ideal pixels, w > 0 in front of the camera; of N poses (N, 3, 3)."""
+        R, t = camera_from_scene.R, camera_from_scene.t
+        plane = np.stack((R[..., 0] * self._texel_m, -R[..., 1] * self._texel_m, t - wall_m * R[..., 2]), axis=-1)
+        H: Matrix3 = K @ plane
+        return H
+
+    def level_for(self, step_px: float) -> int:
+        """Return the level for single samples `step_px` texels apart."""
+        wanted = math.ceil(math.log2(step_px / 1.2)) if 0 < step_px < math.inf else len(self._levels)
+        return min(max(wanted, 0), len(self._levels) - 1)
+
+    def level_from_wall(self, level: int) -> Matrix3:
+        """Return the (3, 3) map from texels to the level's pixels."""
+        return PixelScaling(2.0**level).reduced_from_full
+
+    def roughness(self, level: int, m: PlaneMap) -> Image:
+        """Return the wall's relative reflectance, (rows, columns) float32 around 1; beyond its horizon 1."""
+        rough = cv2.remap(self._levels[level], m.u, m.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        rough[~m.front] = 1.0
+        return rough
+
+
+@cache
+def _levels() -> tuple[Image, ...]:
+    """Return the texture at full size, a half, a fourth, ...; every wall is the same."""
+    levels = [wall_texture(_SIDE_PX)]
+    while levels[-1].shape[0] > 4:
+        levels.append(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    return tuple(levels)
+
+
+def rectangle_coverage(on_plane: PlaneMap, width: float, height: float) -> Image:
+    """Return the share of each pixel, (rows, columns) float32 in [0, 1], that looks at the rectangle.
+
+    The rectangle reaches from (-0.5, -0.5) to (width - 0.5, height - 0.5) in the plane's coordinates. Each edge cuts
+    the unit pixel exactly, as a straight line; at a corner the product of two such shares is an approximation.
+    """
+    m = on_plane
+    # No point of a pixel is further than this from its centre, in plane coordinates.
+    reach_u = float(np.abs(m.ux).max() + np.abs(m.uy).max())
+    reach_v = float(np.abs(m.vx).max() + np.abs(m.vy).max())
+    du = np.float32(width / 2) - np.abs(m.u - np.float32((width - 1) / 2))
+    dv = np.float32(height / 2) - np.abs(m.v - np.float32((height - 1) / 2))
+    share = ((du > reach_u) & (dv > reach_v)).astype(np.float32)
+    band = np.flatnonzero((du > -reach_u) & (dv > -reach_v) & (share == 0))
+    if len(band):
+        u, v, ux, uy, vx, vy = (a.ravel()[band] for a in (m.u, m.v, m.ux, m.uy, m.vx, m.vy))
+        distances = np.stack((u + 0.5, width - 0.5 - u, v + 0.5, height - 0.5 - v)).astype(np.float32)
+        shares = _half_plane_share(distances, np.stack((ux, ux, vx, vx)), np.stack((uy, uy, vy, vy)))
+        share.ravel()[band] = shares.prod(axis=0)
+    if not m.front.all():
+        share[~m.front] = 0
+    return share
+
+
+def _half_plane_share(value: Image, gx: Image, gy: Image) -> Image:
+    """Return the share of the unit pixel where the linear function with this central value and gradient is positive."""
+    gx, gy = np.abs(gx), np.abs(gy)
+    length = np.hypot(gx, gy)
+    long, short = np.maximum(gx, gy) / length, np.minimum(gx, gy) / length
+    d = value / length
+    reach, away = (long + short) / 2, np.abs(d)
+    # The distance over the pixel is the sum of two uniform variables: its distribution is a trapezoid.
+    tail = np.maximum(reach - away, 0) ** 2 / (2 * long * np.maximum(short, np.float32(1e-6)))
+    share = np.where(away <= (long - short) / 2, 0.5 + away / long, 1 - tail)
+    share = np.where(away >= reach, np.float32(1), share)
+    return np.where(d >= 0, share, 1 - share)

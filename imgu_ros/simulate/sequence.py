@@ -18,7 +18,7 @@ from imgu_ros.frame import Frame
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.capture import Capture, check_capture, views_of
 from imgu_ros.simulate.geometry import image_from_template
-from imgu_ros.simulate.path import Motion, camera_from_scene_at
+from imgu_ros.simulate.path import CameraMotion, camera_from_scene_at
 from imgu_ros.simulate.render import Renderer
 from imgu_ros.simulate.scene import Scene, arrange_scene, size_of, template_matrix
 from imgu_ros.simulate.texture import procedural_texture
@@ -72,7 +72,7 @@ class Simulation:
     seed: int = 0
     layout: PixelLayout = field(default_factory=lambda: PixelLayout(ColorModel.BAYER, BayerPattern.RGGB))
     sensor: Sensor | None = field(default_factory=Sensor)
-    motion: Motion = field(default_factory=Motion)
+    motion: CameraMotion = field(default_factory=CameraMotion)
     camera: Camera | None = None
     capture: Capture = field(default_factory=Capture)
     start_ns: int = 1_700_000_000_000_000_000

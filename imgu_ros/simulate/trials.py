@@ -18,7 +18,7 @@ import numpy as np
 from imgu_ros.frame import Frame
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.capture import Capture, views_of
-from imgu_ros.simulate.conditions import Condition, Show
+from imgu_ros.simulate.conditions import Condition, SceneContent
 from imgu_ros.simulate.disturbances import (
     TargetField,
     as_mosaic,
@@ -85,9 +85,9 @@ class Trial:
 def known_targets(trial: Trial) -> tuple[TargetImage, ...]:
     """Return the targets that an estimator is given, all `WIDTH_M` wide."""
     show, seed = trial.condition.show, trial.seed
-    picture = _picture(show is Show.REPEATED, seed)
+    picture = _picture(show is SceneContent.REPEATED, seed)
     target = TargetImage(TARGET, picture, WIDTH_M)
-    if show is Show.LOOK_ALIKES:
+    if show is SceneContent.LOOK_ALIKES:
         return target, TargetImage(ALIKE, look_alike(picture, seed + 500), WIDTH_M)
     return (target,)
 
@@ -191,7 +191,7 @@ class _Stage:
         return covered(light, field, cover if self._in_color else as_mosaic(cover, BayerPattern.RGGB))
 
     def _truths(self, pose: RigidTransform, stamp: int) -> tuple[Truth, ...]:
-        if self._trial.condition.show is Show.ABSENT:
+        if self._trial.condition.show is SceneContent.ABSENT:
             return ()
         truths = []
         size = self._camera.width, self._camera.height
@@ -206,9 +206,9 @@ class _Stage:
 
 def _scene(trial: Trial) -> Scene:
     known, show = known_targets(trial), trial.condition.show
-    if show is Show.TWO_COPIES:
+    if show is SceneContent.TWO_COPIES:
         return arrange_scene((known[0], replace(known[0], name=_COPY)), trial.seed)
-    if show is Show.ABSENT:
+    if show is SceneContent.ABSENT:
         return arrange_scene((TargetImage(ALIKE, look_alike(known[0].pixels, trial.seed + 500), WIDTH_M),), trial.seed)
     return arrange_scene(known, trial.seed)
 

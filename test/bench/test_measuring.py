@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.bench.figures import figures, is_false
-from imgu_ros.bench.measuring import Measured, Sample, Show, Timing, measure, measure_in_turn
+from imgu_ros.bench.measuring import FrameMeasurement, Measured, MeasurementPlan, Timing, measure, measure_in_turn
 from imgu_ros.bench.methods import Answer, Answered
 from imgu_ros.frame import Frame
 from imgu_ros.simulate.conditions import PLAIN, condition_named
@@ -52,7 +52,7 @@ class Oracle:
 def test_errors_are_those_of_the_answers() -> None:
     targets = known_targets(TRIAL)
     right, off = Oracle("right", TRIAL), Oracle("off", TRIAL, 3.0, lost=(2,))
-    measured = measure(Show([right, off], trial_batches(TRIAL, 2), targets, every={"off": 2}))
+    measured = measure(MeasurementPlan([right, off], trial_batches(TRIAL, 2), targets, every={"off": 2}))
     assert right.seen == [0, 1, 2, 3, 4] and off.seen == [0, 2, 4]
     assert right.resets == off.resets == 1
     of = {name: [s for s in measured.samples if s.method == name] for name in ("right", "off")}
@@ -68,7 +68,7 @@ def test_errors_are_those_of_the_answers() -> None:
 
 def test_figures_of_a_run() -> None:
     targets = known_targets(TRIAL)
-    measured = measure(Show([Oracle("off", TRIAL, 3.0, lost=(2,))], trial_batches(TRIAL, 2), targets))
+    measured = measure(MeasurementPlan([Oracle("off", TRIAL, 3.0, lost=(2,))], trial_batches(TRIAL, 2), targets))
     f = figures("plain", "sequence", "320x180", "off", [measured, measured])
     assert (f.frames, f.found, f.fine, f.false) == (10, 0.8, 0.0, 0)
     assert f.corner_p50_px == pytest.approx(3) and f.corner_p95_px == pytest.approx(3)
@@ -83,7 +83,7 @@ def test_figures_of_a_run() -> None:
 def test_either_copy_is_an_answer() -> None:
     trial = Trial(condition_named("two-copies"), 320, 180, frames=2)
     # The oracle tells the second of the two.
-    measured = measure(Show([Oracle("second", trial)], trial_batches(trial), known_targets(trial)))
+    measured = measure(MeasurementPlan([Oracle("second", trial)], trial_batches(trial), known_targets(trial)))
     assert [s.corner_px for s in measured.samples] == pytest.approx([0, 0], abs=1e-9)
 
 
@@ -94,7 +94,7 @@ def test_what_is_not_there_is_false() -> None:
         def answer(self, frame: Frame) -> Answered:
             return Answered((Answer("poster", np.eye(3), status="found"),))
 
-    measured = measure(Show([Liar("liar", trial)], trial_batches(trial), known_targets(trial)))
+    measured = measure(MeasurementPlan([Liar("liar", trial)], trial_batches(trial), known_targets(trial)))
     assert [is_false(s) for s in measured.samples] == [True, True]
     f = figures("no-target", "sequence", "320x180", "liar", [measured])
     assert (f.false, f.found, f.frames) == (2, None, 2)
@@ -104,12 +104,12 @@ def test_what_is_not_there_is_false() -> None:
     ("corner_px", "false"), [(0.5, False), (9.9, False), (10.1, True), (math.inf, True), (None, True)]
 )
 def test_far_off_is_false(corner_px: float | None, false: bool) -> None:
-    assert is_false(Sample("m", 0, "t", True, True, corner_px)) is false
-    assert not is_false(Sample("m", 0, "t", True, False))
+    assert is_false(FrameMeasurement("m", 0, "t", True, True, corner_px)) is false
+    assert not is_false(FrameMeasurement("m", 0, "t", True, False))
 
 
 def test_infinite_errors_stay_numbers() -> None:
-    samples = [Sample("m", i, "t", True, True, math.inf) for i in range(3)]
+    samples = [FrameMeasurement("m", i, "t", True, True, math.inf) for i in range(3)]
     f = figures("c", "single", "1x1", "m", [Measured(samples, [Timing("m", i, 1.0, 1.0, {}) for i in range(3)])])
     assert f.corner_p50_px == 1e9 and f.found == 0 and f.false == 3
 
@@ -122,7 +122,7 @@ def test_methods_take_turns() -> None:
             order.append(self.name)
             return super().answer(frame)
 
-    measure(Show([Noted(name, TRIAL) for name in "abc"], trial_batches(TRIAL), known_targets(TRIAL)))
+    measure(MeasurementPlan([Noted(name, TRIAL) for name in "abc"], trial_batches(TRIAL), known_targets(TRIAL)))
     assert "".join(order) == "abcbcacababcbca"
 
 
@@ -136,8 +136,10 @@ def test_shows_take_turns_list_by_list() -> None:
 
     longer = Trial(PLAIN, 320, 180, frames=6)
     shows = [
-        Show([Noted("a", TRIAL)], trial_batches(TRIAL, 2), known_targets(TRIAL)),
-        Show([Noted("b", longer), Noted("c", longer)], trial_batches(longer, 3), known_targets(longer), every={"c": 3}),
+        MeasurementPlan([Noted("a", TRIAL)], trial_batches(TRIAL, 2), known_targets(TRIAL)),
+        MeasurementPlan(
+            [Noted("b", longer), Noted("c", longer)], trial_batches(longer, 3), known_targets(longer), every={"c": 3}
+        ),
     ]
     first, second = measure_in_turn(shows)
     assert "".join(order) == "aabcbbaacbbba"

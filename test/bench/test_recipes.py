@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imgu_ros.bench.lineup import METHODS, make_method
-from imgu_ros.bench.measuring import Show, measure
-from imgu_ros.bench.recipes import Recipe
+from imgu_ros.bench.measuring import MeasurementPlan, measure
+from imgu_ros.bench.recipes import METHODS, Recipe, make_method
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.conditions import PLAIN, condition_named
@@ -25,7 +24,7 @@ from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 def test_methods_find_the_target(name: str, condition: str) -> None:
     trial = Trial(condition_named(condition), 640, 480, frames=2)
     targets = known_targets(trial)
-    measured = measure(Show([make_method(name, targets)], trial_batches(trial), targets))
+    measured = measure(MeasurementPlan([make_method(name, targets)], trial_batches(trial), targets))
     for sample in measured.samples:
         assert sample.corner_px is not None and sample.corner_px < 2.5
         assert sample.rotation_deg is not None and sample.rotation_deg < 8
@@ -64,7 +63,7 @@ def test_blank_frame_is_lost() -> None:
 def test_bad_input_is_refused() -> None:
     with pytest.raises(ParameterError, match="no features"):
         Recipe("orb", [TargetImage("grey", np.full((200, 200), 90, np.uint8), 0.5)])
-    with pytest.raises(ShapeError, match="Features"):
+    with pytest.raises(ShapeError, match="RecipeFeatures"):
         Recipe("surf", [])
     with pytest.raises(ParameterError, match="need one of tracking, detection, ORB, SIFT"):
         make_method("surf", [])

@@ -13,8 +13,8 @@ from PIL import ImageDraw, ImageOps
 from imgu_ros.config.parameters import TargetsParameters
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.target_images import load_target_images, name_from_stem
+from imgu_ros.image_files.formats import is_decoder_safe
 from imgu_ros.image_files.images import write_image
-from imgu_ros.image_files.webp import is_decoder_safe
 
 WEBP = [".webp"] if is_decoder_safe() else []
 TEXTURE = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)

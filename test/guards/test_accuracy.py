@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from imgu_ros.bench.figures import Figures, figures
-from imgu_ros.bench.lineup import DETECTION, TRACKING, make_method
-from imgu_ros.bench.measuring import Show, measure
+from imgu_ros.bench.measuring import MeasurementPlan, measure
+from imgu_ros.bench.recipes import DETECTION, TRACKING, make_method
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
 
 FRAMES = 40
@@ -74,7 +74,7 @@ def measured(width: int, height: int) -> tuple[Figures, Figures]:
     targets = default_targets(1)
     frames = simulate_sequence(Simulation(width, height, FRAMES, rate_hz=10.0), targets)
     methods = [make_method(name, targets) for name in (TRACKING, DETECTION)]
-    run = measure(Show(methods, batches(frames), targets))
+    run = measure(MeasurementPlan(methods, batches(frames), targets))
     # All but the first frame are tracked.
     assert sum(s.status == "tracked" for s in run.samples if s.method == TRACKING) == FRAMES - 1
     tracking, detection = (

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from imgu_ros.bench.lineup import TRACKING, make_method
 from imgu_ros.bench.methods import Answer
+from imgu_ros.bench.recipes import TRACKING, make_method
 from imgu_ros.simulate.conditions import condition_named
 from imgu_ros.simulate.sequence import SimulatedFrame
 from imgu_ros.simulate.trials import Trial, known_targets, trial_frames

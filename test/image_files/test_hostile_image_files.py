@@ -19,9 +19,9 @@ from imgu_ros.cli.main import main
 from imgu_ros.config.parameters import DEFAULT_LIMITS, TargetsParameters
 from imgu_ros.errors import EncodingError, FileError
 from imgu_ros.files.target_images import load_target_images
+from imgu_ros.image_files.formats import is_decoder_safe
 from imgu_ros.image_files.images import read_image, read_image_file, read_raw_image
 from imgu_ros.image_files.pnm import decode_pnm
-from imgu_ros.image_files.webp import is_decoder_safe
 
 #: numpy's letters for TIFF's SHORT and LONG.
 SHORT, LONG = (3, "H"), (4, "I")

@@ -17,9 +17,9 @@ from PIL import Image as Pillow
 from PIL import ImageOps
 
 from imgu_ros.errors import FileError
+from imgu_ros.image_files.formats import is_decoder_safe
 from imgu_ros.image_files.images import read_image, read_image_file
 from imgu_ros.image_files.tags import PictureTags, picture_tags
-from imgu_ros.image_files.webp import is_decoder_safe
 
 #: Where the first row and the first column of the file are shown, Exif 2.3 table 4.6.4: what turns the file upright.
 UPRIGHT: dict[int, Callable[[np.ndarray], np.ndarray]] = {

@@ -31,7 +31,7 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
-from imgu_ros.simulate.path import Motion
+from imgu_ros.simulate.path import CameraMotion
 from imgu_ros.simulate.sequence import Simulation
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import corner_error, read_truth
@@ -166,7 +166,7 @@ def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("simulated") / "bag"
-    motion = Motion(turns=0.0, tilt_rad=math.radians(20), zoom=1.2, fill=1.6, drift=0.03)
+    motion = CameraMotion(turns=0.0, tilt_rad=math.radians(20), zoom=1.2, fill=1.6, drift=0.03)
     simulation = Simulation(width=SIZE[0], height=SIZE[1], frames=FRAMES, rate_hz=15.0, seed=SEED, motion=motion)
     record_simulation(path, simulation, targets=[TargetImage("poster", procedural_texture(*TEMPLATE, seed=SEED), 0.5)])
     return path

@@ -11,7 +11,7 @@ import pytest
 from imgu_ros.errors import ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import image_from_template
-from imgu_ros.simulate.path import Motion, camera_from_scene_at
+from imgu_ros.simulate.path import CameraMotion, camera_from_scene_at
 from imgu_ros.simulate.scene import arrange_scene, radius_of, template_matrix
 from imgu_ros.simulate.sequence import default_camera
 from imgu_ros.simulate.truth import points_in_image, target_grid
@@ -22,8 +22,8 @@ TARGET = TargetImage("t", np.zeros((960, 1280, 3), np.uint8), 0.5)
 RADIUS = arrange_scene([TARGET]).radius_m
 
 
-def path(count: int, seed: int, motion: Motion | None = None) -> list[RigidTransform]:
-    return [camera_from_scene_at(p, motion or Motion(), CAMERA, RADIUS, seed) for p in np.linspace(0, 1, count)]
+def path(count: int, seed: int, motion: CameraMotion | None = None) -> list[RigidTransform]:
+    return [camera_from_scene_at(p, motion or CameraMotion(), CAMERA, RADIUS, seed) for p in np.linspace(0, 1, count)]
 
 
 def tilt_of(pose: RigidTransform) -> float:
@@ -83,14 +83,16 @@ def test_seed_chooses_the_path() -> None:
 
 
 def test_still_camera() -> None:
-    poses = path(5, 0, Motion(turns=0, tilt_rad=0, zoom=1, drift=0))
+    poses = path(5, 0, CameraMotion(turns=0, tilt_rad=0, zoom=1, drift=0))
     for pose in poses:
         np.testing.assert_allclose(pose.R, poses[0].R, atol=1e-12)
         np.testing.assert_allclose(pose.t, poses[0].t, atol=1e-12)
 
 
-@pytest.mark.parametrize("motion", [Motion(zoom=0.5), Motion(tilt_rad=2.0), Motion(fill=0), Motion(zoom=math.nan)])
-def test_impossible_motion_is_refused(motion: Motion) -> None:
+@pytest.mark.parametrize(
+    "motion", [CameraMotion(zoom=0.5), CameraMotion(tilt_rad=2.0), CameraMotion(fill=0), CameraMotion(zoom=math.nan)]
+)
+def test_impossible_motion_is_refused(motion: CameraMotion) -> None:
     with pytest.raises(ShapeError, match="motion"):
         path(1, 0, motion)
 

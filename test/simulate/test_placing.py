@@ -11,7 +11,7 @@ import pytest
 from imgu_ros.errors import ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.geometry import image_from_template
-from imgu_ros.simulate.path import Motion, camera_from_scene_at
+from imgu_ros.simulate.path import CameraMotion, camera_from_scene_at
 from imgu_ros.simulate.placing import Placing, camera_before_target, outside_share
 from imgu_ros.simulate.scene import arrange_scene, template_matrix
 from imgu_ros.simulate.sequence import default_camera
@@ -32,7 +32,7 @@ def tilt_deg(pose) -> float:
 def test_nothing_prescribed_is_the_path() -> None:
     for p in (0.0, 0.3, 1.0):
         a = camera_before_target(p, Placing(), CAMERA, SCENE, 7)
-        b = camera_from_scene_at(p, Motion(), CAMERA, SCENE.radius_m, 7)
+        b = camera_from_scene_at(p, CameraMotion(), CAMERA, SCENE.radius_m, 7)
         np.testing.assert_array_equal(a.R, b.R)
         np.testing.assert_array_equal(a.t, b.t)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import ParameterError, ShapeError
-from imgu_ros.simulate.conditions import CONDITIONS, PLAIN, Condition, Show, condition_named
+from imgu_ros.simulate.conditions import CONDITIONS, PLAIN, Condition, SceneContent, condition_named
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.pictures import look_alike, repeated_picture
 from imgu_ros.simulate.placing import Placing
@@ -37,7 +37,7 @@ def target_mask(trial: Trial) -> np.ndarray:
 
 @pytest.mark.parametrize("condition", CONDITIONS, ids=lambda c: c.name)
 def test_every_condition_makes_frames_with_truth(condition: Condition) -> None:
-    count = {Show.ABSENT: 0, Show.TWO_COPIES: 2, Show.LOOK_ALIKES: 2}.get(condition.show, 1)
+    count = {SceneContent.ABSENT: 0, SceneContent.TWO_COPIES: 2, SceneContent.LOOK_ALIKES: 2}.get(condition.show, 1)
     names = {target.name for target in known_targets(replace(SMALL, condition=condition))}
     for unrelated in (False, True):
         trial = replace(SMALL, condition=condition, frames=1, unrelated=unrelated)

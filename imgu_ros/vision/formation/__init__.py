@@ -46,7 +46,7 @@ from imgu_ros.vision.formation.demosaicking.menon import demosaic_menon
 from imgu_ros.vision.formation.demosaicking.opencv import demosaic_bilinear, demosaic_edge_aware
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads
 from imgu_ros.vision.formation.demosaicking.residual import demosaic_residual
-from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.demosaicking.strips import StripMethod, demosaic_in_strips
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
 from imgu_ros.vision.formation.optics import (
@@ -75,8 +75,8 @@ __all__ = [
     "PixelLayout",
     "Quads",
     "RawImage",
-    "Recipe",
     "Sensor",
+    "StripMethod",
     "ThinLens",
     "as_mosaic",
     "circle_of_confusion",

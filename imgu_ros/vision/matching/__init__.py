@@ -38,10 +38,9 @@ descriptor and beside OpenCV's: `docs/matching.md`.
 Parameters: `matching.metric`, `matching.ratio`, `matching.mutual`, `matching.guided`. Notes: 5.1, 5.3, 5.4.2, 7.5.
 """
 
-from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
+from imgu_ros.vision.matching.gallery import Gallery, Neighbours, Places, find_places, prepare_gallery
 from imgu_ros.vision.matching.guided import GuidedHomography, guided_homography, match_guided
-from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
-from imgu_ros.vision.matching.hamming_distance import hamming_distance
+from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows, hamming_distance
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import (
@@ -59,7 +58,6 @@ from imgu_ros.vision.matching.numbers import NumberRows, number_rows
 from imgu_ros.vision.matching.patch_atlas import PatchAtlas
 from imgu_ros.vision.matching.patch_bank import Displacements, LocalDistortion, PatchBank, Patches, as_grey
 from imgu_ros.vision.matching.patches import ncc, ssd, zmssd
-from imgu_ros.vision.matching.places import Neighbours, Places, find_places
 
 __all__ = [
     "BinaryRows",

@@ -9,11 +9,11 @@ import numpy as np
 
 from imgu_ros.arguments import as_number
 from imgu_ros.errors import ShapeError
-from imgu_ros.types import Image, Points, as_points
+from imgu_ros.types import Image, Indices, Points, as_points
 from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
-from imgu_ros.vision.matching.metrics import Metric, checked_rows, metric_of_rows
+from imgu_ros.vision.matching.metrics import Metric, checked_rows, metric_of_rows, require_index
+from imgu_ros.vision.matching.near import near_pairs
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
-from imgu_ros.vision.matching.places import Places, find_places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,3 +67,78 @@ def prepare_gallery(
         raise ShapeError(f"same_place_px: {same_place_px!r}; need a number >= 0")
     prepared = binary_rows(descriptors) if metric is Metric.HAMMING else number_rows(descriptors, metric)
     return Gallery(descriptors, metric, prepared, places)
+
+
+#: Most pairs that are kept; points so dense are compared anew each time.
+_MOST_PAIRS = 2**22
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """Pairs, (K,) indices each: the point that was asked for, and one at its place."""
+
+    asked: Indices
+    point: Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """M points and who is near whom.
+
+    Attributes
+    ----------
+    xy : (M, 2) px
+    radius_px : up to how far apart, along x and along y, two points are at the same place
+    near : points at the place of point 0, then of point 1, ...; None where they would be too many to keep
+    start : (M + 1,) where the ones of each point start in `near`
+    """
+
+    xy: Points
+    radius_px: float
+    near: Indices | None
+    start: Indices
+
+    def at(self, points: Indices) -> Neighbours:
+        """Return all points at the place of each of `points`, (N,), themselves included; `asked` is 0 to N - 1.
+
+        Raises
+        ------
+        ShapeError
+            If they are no (N,) indices of points.
+        """
+        require_index(points, points.size if isinstance(points, np.ndarray) else 0, len(self.xy))
+        if self.near is None:
+            apart = np.abs(self.xy[points, None] - self.xy).max(axis=2)
+            return Neighbours(*np.nonzero(apart <= self.radius_px))
+        count = self.start[points + 1] - self.start[points]
+        first = np.cumsum(count) - count
+        place = np.arange(count.sum()) + np.repeat(self.start[points] - first, count)
+        return Neighbours(np.repeat(np.arange(len(points)), count), self.near[place])
+
+
+def find_places(xy: Points, radius_px: float) -> Places:
+    """Find for each of (M, 2) points those up to `radius_px` >= 0 away along x and along y.
+
+    Parameters
+    ----------
+    xy : (M, 2) px
+    radius_px : 0 or more
+
+    Raises
+    ------
+    ShapeError
+        If the points are not finite, or the radius is negative or not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> places = find_places([[0, 0], [9, 0], [3, -3]], radius_px=3.0)
+    >>> places.at(np.array([2])).point.tolist()
+    [0, 2]
+    """
+    radius_px = as_number(radius_px, "radius_px")
+    xy = as_points(xy, "xy")
+    pairs = near_pairs(xy, xy, radius_px, _MOST_PAIRS)
+    if pairs is None:
+        return Places(xy, radius_px, None, np.zeros(0, np.intp))
+    return Places(xy, radius_px, pairs.b, np.searchsorted(pairs.a, np.arange(len(xy) + 1)))

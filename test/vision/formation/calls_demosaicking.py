@@ -13,7 +13,7 @@ from imgu_ros.vision.formation.demosaicking.menon import demosaic_menon
 from imgu_ros.vision.formation.demosaicking.opencv import demosaic_bilinear, demosaic_edge_aware
 from imgu_ros.vision.formation.demosaicking.quads import Missing, Quads
 from imgu_ros.vision.formation.demosaicking.residual import demosaic_residual
-from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.demosaicking.strips import StripMethod, demosaic_in_strips
 
 
 def _raw(rng: np.random.Generator) -> np.ndarray:
@@ -24,7 +24,7 @@ def _copied(q: Quads) -> Missing:
     return Missing(q.green_by_red, q.blue, q.red, q.blue, q.red, q.blue, q.red, q.green_by_blue)
 
 
-RECIPE = Recipe(_copied, reach=1, shift=1, scale=1, integer=False)
+RECIPE = StripMethod(_copied, reach=1, shift=1, scale=1, integer=False)
 
 CALLS = {
     method: lambda rng: {"raw": _raw(rng), "pattern": BayerPattern.GBRG}

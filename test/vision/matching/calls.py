@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imgu_ros.types import Image
-from imgu_ros.vision.matching.gallery import Gallery, prepare_gallery
+from imgu_ros.vision.matching.gallery import Gallery, Places, find_places, prepare_gallery
 from imgu_ros.vision.matching.guided import guided_homography, match_guided
-from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows
-from imgu_ros.vision.matching.hamming_distance import hamming_distance
+from imgu_ros.vision.matching.hamming import BinaryRows, binary_rows, hamming_distance
 from imgu_ros.vision.matching.index import DescriptorIndex, build_index
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.metrics import (
@@ -27,7 +26,6 @@ from imgu_ros.vision.matching.near import near_pairs
 from imgu_ros.vision.matching.nearest import match, match_to_gallery
 from imgu_ros.vision.matching.numbers import NumberRows, number_rows
 from imgu_ros.vision.matching.patches import ncc, ssd, zmssd
-from imgu_ros.vision.matching.places import Places, find_places
 
 
 def match_numbers(src: Image, dst: Image, dst_xy: ArrayLike, ratio: float) -> Matches:

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.matching import places
-from imgu_ros.vision.matching.places import find_places
+from imgu_ros.vision.matching import gallery as places
+from imgu_ros.vision.matching.gallery import find_places
 
 
 @given(st.integers(0, 2**32).map(np.random.default_rng), st.integers(0, 30), st.sampled_from([0, 2.5, 3.0]))

@@ -9,7 +9,7 @@ import numpy as np
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads, Values
-from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.demosaicking.strips import StripMethod, demosaic_in_strips
 
 
 def demosaic_hamilton_adams(raw: Image, pattern: BayerPattern) -> Image:
@@ -150,4 +150,4 @@ def _distance(first: Values, second: Values) -> Values:
     return cv2.absdiff(first, second).reshape(-1)
 
 
-_RECIPE = Recipe(_missing, reach=3, shift=1, scale=16, integer=True)
+_RECIPE = StripMethod(_missing, reach=3, shift=1, scale=16, integer=True)

@@ -8,7 +8,7 @@ import numpy as np
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads, Values
-from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.demosaicking.strips import StripMethod, demosaic_in_strips
 
 
 def demosaic_malvar(raw: Image, pattern: BayerPattern) -> Image:
@@ -117,4 +117,4 @@ def _at_color(q: Quads, color: Field, greens: Values, corners: Values) -> tuple[
     return green, other
 
 
-_RECIPE = Recipe(_missing, reach=1, shift=1, scale=16, integer=True)
+_RECIPE = StripMethod(_missing, reach=1, shift=1, scale=16, integer=True)

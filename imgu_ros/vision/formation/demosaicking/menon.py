@@ -9,7 +9,7 @@ import numpy as np
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads, Values
-from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.demosaicking.strips import StripMethod, demosaic_in_strips
 
 _HALF, _THIRD = np.float32(1 / 2), np.float32(1 / 3)
 _RIGHT, _DOWN = (0, 1), (1, 0)
@@ -180,4 +180,4 @@ def _mean(q: Quads, in_row: tuple[Values, ...], in_column: tuple[Values, ...], w
     return out
 
 
-_RECIPE = Recipe(_missing, reach=6, shift=1, scale=1, integer=False)
+_RECIPE = StripMethod(_missing, reach=6, shift=1, scale=1, integer=False)

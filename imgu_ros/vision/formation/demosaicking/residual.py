@@ -12,7 +12,7 @@ import numpy as np
 from imgu_ros.types import Image
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.demosaicking.quads import Field, Missing, Quads, Values
-from imgu_ros.vision.formation.demosaicking.strips import Recipe, demosaic_in_strips
+from imgu_ros.vision.formation.demosaicking.strips import StripMethod, demosaic_in_strips
 
 _RIGHT, _DOWN = (0, 1), (1, 0)
 _HALF = np.float32(1 / 2)
@@ -301,4 +301,4 @@ def _times(step: tuple[int, int], count: int) -> tuple[int, int]:
     return step[0] * count, step[1] * count
 
 
-_RECIPE = Recipe(_missing, reach=15, shift=2, scale=1, integer=False)
+_RECIPE = StripMethod(_missing, reach=15, shift=2, scale=1, integer=False)

@@ -25,7 +25,7 @@ _FEWEST_QUADS = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recipe:
+class StripMethod:
     """A demosaicking method for the quads of a strip.
 
     Attributes
@@ -44,7 +44,7 @@ class Recipe:
     integer: bool
 
 
-def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Image:
+def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: StripMethod) -> Image:
     """Reconstruct colour by a recipe.
 
     The result does not depend on the number of threads (`cv2.setNumThreads`) or strips.
@@ -64,7 +64,7 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
     ShapeError
         If `raw` is not such an image or the pattern is unknown.
     """
-    require_type(recipe, Recipe, "recipe")
+    require_type(recipe, StripMethod, "recipe")
     raw, pattern = as_mosaic(raw), BayerPattern(pattern)
     height, width = raw.shape
     rim = 2 * recipe.reach
@@ -102,7 +102,7 @@ def demosaic_in_strips(raw: Image, pattern: BayerPattern, recipe: Recipe) -> Ima
     return out
 
 
-def _develop(strip: Image, recipe: Recipe, out: Image) -> None:
+def _develop(strip: Image, recipe: StripMethod, out: Image) -> None:
     """Write the colours of a strip that starts at a red site, without its rim, to `out`."""
     height, width = strip.shape[0] // 2, strip.shape[1] // 2
     dtype = _dtype(recipe, strip)
@@ -123,7 +123,7 @@ def _develop(strip: Image, recipe: Recipe, out: Image) -> None:
         cv2.merge(rows, dst=out[first::2])
 
 
-def _dtype(recipe: Recipe, raw: Image) -> np.dtype[Any]:
+def _dtype(recipe: StripMethod, raw: Image) -> np.dtype[Any]:
     """Return what fields hold."""
     # Pairs of 16-bit integers are made rows of bytes in the order of little-endian machines.
     integer = recipe.integer and raw.dtype == np.uint8 and sys.byteorder == "little"
@@ -131,7 +131,7 @@ def _dtype(recipe: Recipe, raw: Image) -> np.dtype[Any]:
 
 
 def _row_of_integers(
-    even: Field, odd: Field, measured: Sequence[Field], recipe: Recipe, dtype: np.dtype[np.generic]
+    even: Field, odd: Field, measured: Sequence[Field], recipe: StripMethod, dtype: np.dtype[np.generic]
 ) -> Image:
     """Return the 8-bit rows of two fields of integers: the even values become low bytes, the odd ones high bytes."""
     for field in (even, odd):
@@ -146,7 +146,7 @@ def _row_of_integers(
     return odd.inside(recipe.reach).view(np.uint8)
 
 
-def _row(even: Field, odd: Field, measured: Sequence[Field], recipe: Recipe, dtype: np.dtype[np.generic]) -> Image:
+def _row(even: Field, odd: Field, measured: Sequence[Field], recipe: StripMethod, dtype: np.dtype[np.generic]) -> Image:
     """Return the rows of two fields of real numbers."""
     depth = cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U
     planes: list[Image] = []
