@@ -66,9 +66,9 @@ CONSTANTS = {
     "coarse_enough_px": "track.patch_alignment:_COARSE_ENOUGH_PX",
     "shift_side_px": "track.shift_search:_SIDE_PX",
     "shift_similarity": "track.shift_search:_MIN_SIMILARITY",
-    "steady": "track.prediction:_STEADY",
-    "same": "track.prediction:_SAME",
-    "memory": "track.prediction:_MEMORY",
+    "steady": "track.tracker:_STEADY",
+    "same": "track.tracker:_SAME",
+    "memory": "track.tracker:_MEMORY",
     # blur
     "coarsest_result": "track.patch_alignment:_COARSEST_RESULT",
     "blurred": "track.patch_alignment:_BLURRED",

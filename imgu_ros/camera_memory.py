@@ -9,7 +9,7 @@ from collections.abc import Iterable, Set
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.reference.reference import Reference
 from imgu_ros.result import ReferenceResult, Status
-from imgu_ros.track.prediction import Observation, Track
+from imgu_ros.track.tracker import Observation, Track
 
 #: Observations farther apart say nothing about how a reference moves.
 _STEADY_NS = 500_000_000

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -44,6 +45,7 @@ class Located:
     halvings: int = 0
 
 
+@lru_cache(maxsize=8)
 def bending(camera: Camera | None) -> Camera | None:
     """Return the camera when its lens distorts, else None: then raw pixels are ideal ones."""
     return camera if camera is not None and camera.is_distorted else None

@@ -61,26 +61,48 @@ class TemplateOctave:
     level : as given
     scaling : between the template and the level
     scale : template px in one px of the level
+    patches : about the corners, by the side of a patch, px of the level; those of the last side are kept
     """
 
     def __init__(self, level: Level, count: int) -> None:
         self.level = level
         self.scaling, self.scale = PixelScaling(level.step), level.scale
+        self.patches = _PatchesBySide(self)
         self._count = count
-        self._patches: tuple[int, PatchBank] | None = None
 
     @cached_property
     def corners(self) -> Points:
         """Centres of patches, best spread first: (N, 2) px of the full-resolution template."""
         return _corners(self.level, self._count)
 
-    def patches(self, window_px: int) -> PatchBank:
-        """Return the patches about the corners, in the level's px; those of the last size are kept."""
-        kept = self._patches
-        if kept is None or kept[0] != window_px:
-            kept = (window_px, PatchBank(self.level.image, self.level.from_full(self.corners), window_px))
-            self._patches = kept
-        return kept[1]
+
+class TemplatePatches(PatchBank):
+    """Patches about the corners of a template's octave.
+
+    Parameters
+    ----------
+    octave : the octave
+    window_px : side of a patch, px of the octave's level
+
+    Attributes
+    ----------
+    template_xy : (M, 2) centres of the patches, template px
+    """
+
+    def __init__(self, octave: TemplateOctave, window_px: int) -> None:
+        super().__init__(octave.level.image, octave.level.from_full(octave.corners), window_px)
+        self.template_xy = octave.scaling.to_full_unchecked(self.centres)
+
+
+class _PatchesBySide(dict[int, TemplatePatches]):
+    def __init__(self, octave: TemplateOctave) -> None:
+        super().__init__()
+        self._octave = octave
+
+    def __missing__(self, window_px: int) -> TemplatePatches:
+        self.clear()
+        self[window_px] = TemplatePatches(self._octave, window_px)
+        return self[window_px]
 
 
 class TemplatePyramids(dict[bool, tuple[Level, ...]]):

@@ -222,7 +222,8 @@ class LevelAlignment:
     ) -> None:
         self.halvings, self._camera, self._scaling = halvings, camera, _HALVED[halvings]
         self._level = _nearest_level(target, pictures.is_linear, H, 0.5**halvings)
-        bank = self._level.patches(options.window_px)
+        bank = self._level.patches[options.window_px]
+        self._template_xy = bank.template_xy
         height, width = pictures.shape
         shape = (height >> halvings, width >> halvings)
         image_from_bank = self._scaling.reduced_from_full @ H @ self._level.scaling.full_from_reduced
@@ -246,8 +247,7 @@ class LevelAlignment:
         x, y, w = image_from_bank @ bank.homogeneous
         inside = w > 0
         w = np.where(inside, w, 1.0)
-        x /= w
-        y /= w
+        x, y = x / w, y / w
         if self._camera is not None:
             # The lens model is valid near the image only.
             inside &= (np.abs(x) < 2 * max(shape)) & (np.abs(y) < 2 * max(shape))
@@ -332,9 +332,9 @@ class LevelAlignment:
             self._usable,
         )
         homography = normal_equations.estimate
-        centres = patches.centres[homography.inliers]
-        template_xy = self._level.scaling.to_full_unchecked(centres)
-        image_xy = _mapped(self._H_before, centres - self._displacements[homography.inliers])
+        kept = homography.inliers
+        template_xy = self._template_xy[patches.chosen[kept]]
+        image_xy = _mapped(self._H_before, patches.centres[kept] - self._displacements[kept])
         if self._camera is not None:
             image_xy = self._camera.raw_pixels(image_xy)
         share = len(template_xy) / self.sought

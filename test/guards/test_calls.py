@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(159, 22, 74, {5: 1089, 4: 1101}),
-    "empty": Limit(3881, 51, 1670, {5: 24927, 4: 26258}),
+    "tracked": Limit(153, 18, 67, {5: 1073, 4: 1085}),
+    "empty": Limit(3869, 49, 1661, {5: 24900, 4: 26231}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

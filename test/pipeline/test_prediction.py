@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from imgu_ros.reference.reference import Reference
-from imgu_ros.track.prediction import Observation, Track
+from imgu_ros.track.tracker import Observation, Track
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.projective.homography import normalised_homography
 from imgu_ros.vision.projective.transform import transform

@@ -21,8 +21,7 @@ from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track import tracker as tracking
 from imgu_ros.track.patch_alignment import PatchAlignment
-from imgu_ros.track.prediction import Observation, Track
-from imgu_ros.track.tracker import follow, located
+from imgu_ros.track.tracker import Observation, Track, follow, located
 from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.rotation import log_so3
 from imgu_ros.vision.formation.layout import RawImage
