@@ -3,19 +3,11 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.qos import (
-    QoSDurabilityPolicy,
-    QoSHistoryPolicy,
-    QoSPolicyKind,
-    QoSProfile,
-    QoSReliabilityPolicy,
-    qos_policy_name_from_kind,
-)
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from imgu_ros.ros.meters import RateMeter
@@ -28,10 +20,8 @@ class QosCounters:
     """Counts a subscription's lost messages and publishers with incompatible QoS, as the middleware reports them."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._losses = RateMeter()
         self._incompatible = 0
-        self._policies: set[str] = set()
 
     @property
     def lost(self) -> int:
@@ -44,14 +34,8 @@ class QosCounters:
 
     @property
     def incompatible(self) -> int:
-        """Times that a publisher was found whose QoS does not fit."""
+        """Number of times that a publisher with incompatible QoS was found."""
         return self._incompatible
-
-    @property
-    def policies(self) -> tuple[str, ...]:
-        """The policies that did not fit."""
-        with self._lock:
-            return tuple(sorted(self._policies))
 
     def subscription_callbacks(self) -> SubscriptionEventCallbacks:
         """Return event callbacks that count into this object."""
@@ -61,9 +45,7 @@ class QosCounters:
         self._losses.tick(time.monotonic(), event.total_count_change)
 
     def _on_incompatible(self, event: Any) -> None:
-        with self._lock:
-            self._incompatible += event.total_count_change
-            self._policies.add(str(qos_policy_name_from_kind(event.last_policy_kind)).lower())
+        self._incompatible += event.total_count_change  # called in the executor's thread alone
 
 
 def no_events() -> PublisherEventCallbacks:
