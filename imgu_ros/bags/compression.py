@@ -30,11 +30,11 @@ _FIRST_FEED = 2**12
 _AT_ONCE = 2**24
 #: zstd's own default for streams: 128 MB.
 _ZSTD_OPTIONS: dict[int, int] = {zstd.DecompressionParameter.window_log_max: 27}
-#: Bytes that may come of any few, of a file on the disk and of chunks or messages one by one: black pictures become
-#: less than a thousandth.
+#: Decompressed bytes allowed whatever the compressed size, of a file on disk and of chunks or messages in memory:
+#: black images are compressed to less than a thousandth.
 _FREE_ON_DISK, _FREE_IN_PASSING = 1_000_000_000, 2_000_000_000
-#: Messages that may come of any few bytes, and bytes that each message counts as beyond them: what is behind its stamps
-#: may be the same in all, but stamps alone take more than two bytes when they are compressed.
+#: Number of messages allowed whatever the compressed size, and the bytes that each further message counts: messages may
+#: be alike except for their times, which alone take more than two bytes each when they are compressed.
 _FREE_MESSAGES, _BYTES_A_MESSAGE = 100_000, 2000
 #: Of the disk that temporary copies are on, this stays free; of a small one, a tenth.
 _RESERVE = 500_000_000
@@ -44,7 +44,7 @@ MOST_UNANNOUNCED = 2**23
 
 
 class Expansion:
-    """Watches what a file's compressed chunks or messages become: from 2 GB on, `limits.expansion` times as much."""
+    """Bounds the decompressed size of a file: beyond 2 GB, `limits.expansion` times the compressed size."""
 
     def __init__(self, limits: LimitsParameters) -> None:
         self._factor = limits.expansion
@@ -52,7 +52,7 @@ class Expansion:
         self._messages_left = _FREE_MESSAGES
 
     def take(self, packed: int, size: int) -> None:
-        """Count `size` bytes that come of `packed` ones; BagError, and they do not count, when they are too many."""
+        """Count `size` bytes decompressed from `packed`; BagError, without counting them, when they are too many."""
         excess = size - self._factor * packed
         if excess > self._left:
             raise BagError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From recorded bytes to messages, by the definitions that the bag itself carries."""
+"""Decode recorded bytes to messages, by the definitions in the recording."""
 
 from __future__ import annotations
 

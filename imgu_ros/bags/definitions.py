@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions that a bag carries -> what reads the messages, at a cost that no definition decides.
+"""Make deserialisers of the message definitions in a recording, at bounded cost.
 
 rosbags makes a class and Python code of a definition: code for every element of a fixed array, thirteen functions for
 every type, and its IDL parser takes exponential time for nested parentheses. So the text is reduced to the fields, they

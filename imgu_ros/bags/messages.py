@@ -97,7 +97,7 @@ def _layout(type_name: str) -> _Layout:
 
 
 def _default(kind: Any) -> Callable[[], object]:
-    """Return what makes a field's default: arrays, lists and messages anew for each message."""
+    """Return what makes a field's default: new arrays, lists and messages for each message."""
     node, detail = kind
     if node == Nodetype.NAME:
         return partial(make_message, detail)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens the files of recorded bags, whatever their names say."""
+"""Open the files of recordings: the format is recognised by the first bytes, not by the name."""
 
 from __future__ import annotations
 

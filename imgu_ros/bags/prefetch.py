@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads ahead of a consumer that must not wait, in bounded memory."""
+"""Prefetch items in a thread, in bounded memory. Separate: replay and `imgu play` both use it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read recorded bags, whole or damaged: rosbag1, and rosbag2 in SQLite or MCAP, compressed or not."""
+"""Open and read recordings, intact or damaged: ROS 1 bags, and rosbag2 in SQLite or MCAP, compressed or not."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Bag:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is missing or damaged, a line each; grows while messages are read."""
+        """Reports of missing or damaged parts, a line each; more come while messages are read."""
         return self._warnings.listed()
 
     @property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of a bag's image topics is the camera's picture of the scene, where nobody says it."""
+"""The images of a recording: the choice of the image topic when none is named, and the decoded images of a topic."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ImageChoice:
     Attributes
     ----------
     topic : its name, type and number of messages
-    remark : which it is and which others there are, when it was not named and there are others; else empty
+    remark : the chosen topic and the others, when it was chosen among several; else empty
     """
 
     topic: BagTopic
@@ -36,11 +36,11 @@ class ImageChoice:
 def choose_image_topic(
     bag: Bag, name: str = "", encoding: str = "", *, limits: LimitsParameters = DEFAULT_LIMITS
 ) -> ImageChoice:
-    """Choose the image topic of a bag by its name, else by what the first messages of each hold.
+    """Choose the image topic of a bag by its name, else by the first messages of each topic.
 
-    Pictures of a scene (mosaics, colour, grey) come before generic 8-bit ones, before depth and other measurements, and
+    Images of a scene (mosaics, colour, grey) come before generic 8-bit ones, before depth and other measurements, and
     before what cannot be read; then ordinary names before those of thermal cameras, masks and drawings; then topics
-    with a camera_info beside them; raw before rectified pictures; mosaics and colour before grey; uncompressed ones
+    with a camera_info beside them; raw before rectified images; mosaics and colour before grey; uncompressed ones
     first; at last the name decides.
 
     Parameters
@@ -48,7 +48,7 @@ def choose_image_topic(
     bag : open
     name : the wanted one, the parameter `image_topic`; empty: choose
     encoding : what the pixels are, instead of what messages say: topics whose pixels cannot be that count as unreadable
-    limits : what decoding a picture may cost
+    limits : bounds of decoding an image
 
     Raises
     ------
@@ -79,7 +79,7 @@ class RecordedImage:
     stamp_ns : its header's stamp
     image : decoded; None when it could not be
     reason : why it could not be decoded; empty when it was
-    remarks : what people should know of the choice of the topic and of the image, and was not said before
+    remarks : new remarks for the user on the choice of the topic and on the image
     """
 
     stamp_ns: int
@@ -98,7 +98,7 @@ def recorded_images(
     bag : open
     topic : its name; empty: see `choose_image_topic`
     encoding : what the pixels are, instead of what messages say; empty: what they say
-    limits : what decoding a picture may cost
+    limits : bounds of decoding an image
 
     Raises
     ------
@@ -122,7 +122,7 @@ def recorded_images(
 _TRIED = 3
 _MOST_LISTED = 8
 
-#: Words of topic names for what is no picture of the scene, or not an ordinary one.
+#: Words in names of topics that hold no image of the scene, or an unusual one.
 _MEASURED = frozenset("depth disparity confidence flow points pointcloud distance costmap".split())
 _DRAWN = frozenset(
     "mask masks segmentation segmented semantic label labels instance debug annotated annotation overlay heatmap "
@@ -141,7 +141,7 @@ _PICTURES = {
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A topic, what it holds in a word, and its rank: the lowest is read."""
+    """A topic, a word for its content, and its rank: the lowest is read."""
 
     topic: BagTopic
     content: str
@@ -175,7 +175,7 @@ def _candidate(bag: Bag, topic: BagTopic, encoding: str, limits: LimitsParameter
 
 
 def _kind(image: RawImage | None, words: set[str]) -> int:
-    """Return 0 for a picture, 1 for generic 8-bit values, 2 and 3 for depth by name and by type, 4 for none."""
+    """Return 0 for an image of a scene, 1 for generic 8-bit values, 2 for depth by name, 3 by type, 4 for none."""
     if image is None:
         return 4
     is_generic = image.layout.color is ColorModel.BANDS

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rosbag2 directory: which files belong to it, and which of them are missing."""
+"""A rosbag2 directory: the files that belong to it, and those that are missing.
+
+metadata.yaml is not read by rosbags, which needs more than 40 s for a large one and raises RecursionError for nested
+lists (`benchmarks/figures/bag_readers.json`).
+"""
 
 from __future__ import annotations
 

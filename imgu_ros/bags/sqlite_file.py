@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A SQLite file that is only read: nothing is written beside it, and nothing in it runs.
+"""An untrusted SQLite file, opened for reading: nothing is written beside it, and nothing in it runs.
 
-What a file of somebody else can make SQLite do: views, virtual tables, generated columns and recursive queries under
-the names of the tables that are wanted, a b-tree whose pages lead to the same pages again (rows without an end), texts
-of any size. So only real tables with plain columns are read, and a statement has a budget of steps by the file's size.
+A hostile file may hold views, virtual tables, generated columns and recursive queries under the names of the expected
+tables, a b-tree whose pages reference the same pages again (endless rows), and texts of any size. Therefore only real
+tables with plain columns are read, and each statement has a budget of steps.
 """
 
 from __future__ import annotations

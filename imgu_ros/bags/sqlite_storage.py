@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of rosbag2's SQLite storage (.db3), whole, cut or damaged."""
+"""Read rosbag2's SQLite storage (.db3) by SQL; rows that a damaged file no longer leads to come from `salvage/`."""
 
 from __future__ import annotations
 

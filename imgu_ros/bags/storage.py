@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every storage of a bag gives: channels, messages in time order, warnings; and how several are read as one."""
+"""The interface of a storage: channels, messages in time order, warnings; and the merge of several by time."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class RawMessage:
 
 
 class WarningLog:
-    """What is missing or damaged: each kind once, with a count, so that a bad bag cannot fill the memory."""
+    """Warnings of missing or damaged parts: each kind once, with a count, so that they take bounded memory."""
 
     def __init__(self) -> None:
         self._kinds: dict[str, set[str]] = {}

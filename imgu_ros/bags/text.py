@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text in recordings: UTF-8 by every format's rules, and not always in fact (comments of definitions, names)."""
+"""Text in recordings: UTF-8 by the rules of every format, and not always in practice (comments, names)."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ class BackgroundWorker(Generic[T]):
     ----------
     work : its exception is raised by the next `put` or on leaving; later items are dropped
     limit : number of items that may wait; `put` blocks while there are as many
-    patience_s : longest time for one item while somebody waits; beyond it `put` and leaving raise TimeoutError, and the
-        thread is left to itself
+    patience_s : longest wait for one item; beyond it `put` and leaving raise TimeoutError, and the thread is left to
+        itself
     """
 
     def __init__(self, work: Callable[[T], None], limit: int = 4, patience_s: float = threading.TIMEOUT_MAX) -> None:

@@ -25,14 +25,14 @@ _MOST_BYTES = 4_000_000
 _MOST_DEPTH = 3
 _MOST_CHARACTERS = 1024
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-#: Between a file's last change and the time at which the run says that it is at work; some file systems count in 2 s.
+#: Tolerance between a file's last change and the mark of the run's last write; some file systems count in 2 s.
 _SLACK_NS = 3_000_000_000
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFLNK: "a symbolic link", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What a folder's list says.
+    """The list of files in a folder.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ def write_manifest(out: Path, kind: str, files: Collection[str]) -> None:
 
 
 def read_manifest(out: Path) -> Manifest | None:
-    """Return what the folder's list says; None when there is none. It is trusted in nothing.
+    """Read the list of a folder, which is not trusted; None when there is none.
 
     Raises
     ------
@@ -105,10 +105,10 @@ class EarlierRun:
 
 
 class EarlierFiles:
-    """Finds what is in the way, and removes it when all of it is an earlier run's; a context manager.
+    """Finds the files in the way, and removes them when all are an earlier run's; a context manager.
 
-    A file is an earlier run's when that run's list names it, it is a regular file, and nobody changed it after that run
-    had ended. Folders are opened once and without following links: what is removed is what was looked at.
+    A file is an earlier run's when that run's list names it, it is a regular file, and was not changed after that run
+    had ended. Folders are opened once and without following links: the checked files are those that are removed.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lock of an output folder: one run at a time writes there, and whoever comes second is told who does.
+"""The lock of an output folder: one run at a time writes there; a second one gets an error that names the first.
 
 The kernel releases it when the process ends, however it ends: no lock outlives its run.
 """
@@ -23,12 +23,12 @@ from pathlib import Path
 from imgu_ros.errors import FileError
 from imgu_ros.shown_text import NAME_CHARACTERS, shown
 
-#: Locked while a run is at work, and last modified when that last wrote.
+#: Locked while a run writes; its modification time is that of the last write.
 LOCK = ".imgu_lock"
 
 _OPEN = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK
 _WITHOUT_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EBADF)
-#: Somebody who only looks whether a folder is in use holds its lock for a moment.
+#: A check whether a folder is in use holds its lock for a moment.
 _ATTEMPTS, _PAUSE_S = 5, 0.03
 _MOST_BYTES = 8192
 
@@ -40,7 +40,7 @@ class FolderLock:
     Attributes
     ----------
     descriptor : of the lock's file
-    worked_until_ns : when the run before last wrote; None when there was none
+    worked_until_ns : when the previous run last wrote; None when there was none
     is_sure : False where the file system has no locks
     """
 
@@ -73,7 +73,7 @@ def locked_folder(out: Path) -> Iterator[FolderLock]:
 
 
 def last_work_ns(out: Path) -> int | None:
-    """Return when the run before last wrote into `out`; None when there was none. Touches nothing.
+    """Return when the previous run last wrote into `out`; None when there was none. Changes nothing.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _write_owner(descriptor: int) -> None:
 
 
 def _owner(descriptor: int) -> dict[str, object]:
-    """Return who holds the lock, or held it last; empty when the file says nothing of the kind."""
+    """Return the present or last owner of the lock; empty when the file does not name one."""
     try:
         owner = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
     except (ValueError, RecursionError):

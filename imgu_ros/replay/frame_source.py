@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frames of a bag: one image topic, each image with its camera_info."""
+"""The frames of a recording: one image topic, each image with its camera_info; and their development ahead of time."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class FrameSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadFrame:
-    """A recorded frame, ready for the chain.
+    """A recorded frame, ready for the localizer.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class ReadFrame:
     frame : decoded; with an image of no pixels when it could not be
     reason : why it could not be decoded; empty when it was
     development : of the frame; None when it could not be decoded
-    warnings : what bag and source had said when it was read
+    warnings : those of bag and source until it was read
     """
 
     time_ns: int
@@ -150,7 +150,7 @@ class ReadFrame:
 
 
 def read_ahead(bag: Bag, source: FrameSource, parameters: DevelopmentParameters) -> Iterator[ReadFrame]:
-    """Yield the source's frames; for another thread, which alone then uses `bag` and `source`."""
+    """Yield the developed frames of a source; for a thread of its own, which alone then uses `bag` and `source`."""
     for recorded in source.frames():
         development = None if recorded.reason else develop_frame(recorded.frame, parameters)
         warnings = (*bag.warnings, *source.warnings)
@@ -158,7 +158,7 @@ def read_ahead(bag: Bag, source: FrameSource, parameters: DevelopmentParameters)
 
 
 def size_of(read: ReadFrame) -> int:
-    """Return about how many bytes a frame keeps: its raw pixels, and as many of grey."""
+    """Return about how many bytes a frame holds: its raw pixels, and as many of grey."""
     return 2 * read.frame.image.pixels.nbytes
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder that a run writes into: locked, cleared of an earlier run's files on request, with a list of its own."""
+"""The output folder of a run: locked, cleared of an earlier run's files on request, with a list of its files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MARK_INTERVAL_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class OutputFiles:
-    """What a run writes into its folder.
+    """The files that a run writes into its folder.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class RunFolder:
             self.renew()
 
     def renew(self) -> None:
-        """Leave a mark for later runs that this one writes now: what is changed later was changed by others.
+        """Mark the time for later runs: files that are changed later were changed by others.
 
         Raises
         ------
         FileError
-            If the folder was removed, renamed or replaced: what others put in its place is not written to.
+            If the folder was removed, renamed or replaced: nothing is written into another one.
         """
         self._next_s = time.monotonic() + _MARK_INTERVAL_S
         try:
@@ -82,7 +82,7 @@ class RunFolder:
         self.mark_time()
 
     def mark_time(self) -> None:
-        """Say that the run has written until now, whatever became of the folder."""
+        """Mark that the run has written until now, whether or not the folder is still there."""
         os.utime(self.lock)
 
     def make(self, name: str) -> Path:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated sequence as a bag, with all that is needed to replay it and to judge the replay."""
+"""Record a simulated sequence as a bag, with the files to replay it and to evaluate the replay."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def record_simulation(
     out : the folder; new or empty, unless `overwrite`
     simulation : its layout is taken from the format's encoding
     bag_format : 8-bit Bayer RGGB in MCAP when None
-    targets : pictures before the camera; one procedural picture when None
+    targets : target images in the scene; one procedural image when None
     overwrite : replace the files of an earlier simulation; nothing else is ever removed
     on_progress : called with (frames done, frames in all)
 
@@ -149,7 +149,7 @@ def simulated_encoding(name: str) -> Encoding:
 
 
 def simulation_files(out: Path, targets: Sequence[TargetImage], storage: str) -> OutputFiles:
-    """Return what is written: bag files last, so that nobody takes half a bag for a whole one."""
+    """Return the files of a simulation; those of the bag come last, so that part of a bag is not taken for a bag."""
     name = _bag_name(out)
     unfinished = (f"{_UNFINISHED}/{name}/{file}" for file in unfinished_bag_files(name))
     side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE)

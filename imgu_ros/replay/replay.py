@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the chain over a recorded bag, offline: frames.csv, poses, a results bag, a summary and a report."""
+"""Replay a recording through the pipeline, offline: frames.csv, poses, a results bag, a summary and a report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from imgu_ros.simulate.truth import read_truth
 from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.threads import one_processor_left_over, quick_thread_switches
 
-#: Of pictures that are read and developed and wait for the chain.
+#: Bytes of images that are read and developed and wait for the localizer.
 _AHEAD_BYTES = 16_000_000
 
 
@@ -47,7 +47,7 @@ def replay(
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
     on_warning: Callable[[str], None] = lambda text: None,
 ) -> Summary:
-    """Run the chain over one image topic of a bag and write the results into `out`.
+    """Run the pipeline over one image topic of a bag and write the results into `out`.
 
     The same bag, parameters and seed give the same files, but for times. Memory does not depend on the length of the
     bag until the report is drawn, which takes about 250 bytes a frame and target.
@@ -57,11 +57,11 @@ def replay(
     bags : paths of one recording
     out : folder for the results; see `docs/interfaces.md` for what is written
     parameters : all parameters; `targets.images` must name at least one
-    truth : truth file; the report then tells the errors
+    truth : truth file; the report then gives the errors
     record : outputs to write into the results bag beside those that always are
     overwrite : replace the files of an earlier replay in `out`; nothing else is ever removed
     on_progress : called after each frame with the number of frames done and, when it is known, of all
-    on_warning : called once for each thing the user should know
+    on_warning : called once for each warning
 
     Raises
     ------
@@ -152,7 +152,7 @@ class _UniqueWarnings:
 class _ReplayRun:
     """One pass over the frames.
 
-    Three work at once, each on another frame: a thread reads and develops, this one runs the chain, the sink writes.
+    Three threads or processes work on different frames: one reads and develops, this one localizes, the sink writes.
     """
 
     total: int

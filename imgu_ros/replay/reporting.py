@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last step of a replay: `report.html`, then `summary.json`, which says that everything is complete."""
+"""The last step of a replay: `report.html`, then `summary.json`, which marks the results as complete."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of a bag file made of chunks (MCAP, ROS 1), whole or damaged."""
+"""Read the messages of a file made of chunks (MCAP, ROS 1), intact or damaged."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from imgu_ros.bags.storage import (
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
 
-#: Chunks that were sought in damaged ones may be this many times the file, and as many bytes more.
+#: Chunks found inside damaged ones may have this many times the bytes of the file in all, plus a constant.
 _SEARCH_FACTOR, _SEARCH_BYTES = 4, 2**26
 
 
 class ChunkedStorage:
-    """A file of chunks: compressed or not, whole, cut or damaged.
+    """A file of chunks: compressed or not, intact, truncated or damaged.
 
-    What the file says of itself is believed where its indexes and its statistics agree. Without statistics the indexes
-    of the chunks are believed until a chunk is read; where they contradict one another, everything is read and counted.
+    The file's indexes are trusted where they agree with its statistics. Without statistics the index of a chunk is
+    trusted until the chunk is read. Where indexes and statistics contradict each other, all chunks are counted.
 
     Parameters
     ----------
     file : the open file; closed with the storage
-    name : what warnings call it
-    warnings : takes what is damaged, now and while reading
-    index : what a walk over the file found
+    name : of the file, for warnings
+    warnings : collects reports of damage, now and while reading
+    index : result of the walk over the file
     form : how chunks are parsed and found
     limits : `message_mb` bounds a chunk
-    expansion : bounds what all chunks become, of several files in one together
+    expansion : bounds the decompressed size of all chunks, of concatenated files together
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class ChunkedStorage:
         self._table, self._definitions = index.extents, index.definitions
         self._cut_at = next((gap.start for gap in index.gaps[-1:] if gap.end == file.size), -1)
         self._search_left = _SEARCH_FACTOR * file.size + _SEARCH_BYTES
-        self._sought: set[int] = set()
+        self._searched: set[int] = set()
         for remark in index.remarks:
             warnings.add(f"{name}: {remark}")
         self._expansion = expansion or Expansion(limits)
@@ -102,7 +102,7 @@ class ChunkedStorage:
         self._file.close()
 
     def _beyond_expansion(self) -> set[int]:
-        """Return the chunks, by offset, that become more bytes than the limit allows."""
+        """Return the offsets of the chunks whose decompressed size exceeds the limit."""
         refused: set[int] = set()
         for index in self._table.expanded(self._limits.expansion, 1_000_000 * self._limits.message_mb):
             extent = self._table[index]
@@ -115,7 +115,7 @@ class ChunkedStorage:
     def _is_as_declared(self) -> bool:
         """Whether the file's statistics are there, and agree with the indexes of its chunks."""
         declared, index = self._index.declared, self._index
-        if declared is None or declared.chunks < 0:  # a list of chunks alone tells of no message
+        if declared is None or declared.chunks < 0:  # a list of chunks alone gives no number of messages
             return False
         counts = self._table.totals()
         return (
@@ -127,7 +127,7 @@ class ChunkedStorage:
         )
 
     def _count(self, everything: bool) -> None:
-        """Read the chunks that nothing tells of, or all; chunks that are found in damaged ones are read too."""
+        """Read the chunks that have no index, or all; chunks found inside damaged ones are read too."""
         known, index = self._definitions.channels.keys(), len(self._table)
         for candidate in self._table.chunks() if everything else self._table.uncounted(known):
             extent = self._table[candidate]
@@ -150,9 +150,9 @@ class ChunkedStorage:
             self._search(extent, contents)
 
     def _search(self, extent: Extent, contents: ChunkContents) -> None:
-        """Look for whole chunks in one that is damaged, or was never one."""
-        if not self._sought:
-            self._sought = {known.offset for known in self._table}
+        """Search for chunks inside one that is damaged, or is not a chunk."""
+        if not self._searched:
+            self._searched = {known.offset for known in self._table}
         is_read = extent.compression == "" and len(contents.times)
         read = contents.size if contents.foreign_at < 0 else contents.foreign_at
         start = extent.data_offset + read if is_read else extent.offset + 1
@@ -160,10 +160,10 @@ class ChunkedStorage:
             for found in self._form.search(self._file, start, min(extent.end, self._file.size)):
                 self._search_left -= found.data_size + found.size
                 if self._search_left < 0:
-                    self._warnings.add(f"{self._name}: so much of it is damaged that not all of it is looked through")
+                    self._warnings.add(f"{self._name}: so much of it is damaged that not all of it is searched")
                     return
-                if found.offset not in self._sought:
-                    self._sought.add(found.offset)
+                if found.offset not in self._searched:
+                    self._searched.add(found.offset)
                     self._table.append(found)
         except BagError as error:
             self._warn_of_chunk(extent, str(error))
@@ -190,7 +190,7 @@ class ChunkedStorage:
                 yield RawMessage(channel, times[index], contents.bytes_of(index, data))
 
     def _check(self, extent: Extent, contents: ChunkContents) -> None:
-        """Compare a chunk with what its index declared; take the channels that no index knew."""
+        """Compare a chunk with its index; take the channels that were not in an index."""
         counts = contents.counts()
         if counts != extent.counts:
             self._warn_of_count(extent, sum(extent.counts.values()), contents)
@@ -201,13 +201,13 @@ class ChunkedStorage:
         self._warn_of_lost(counts.keys() - self._by_id.keys())
 
     def _contents(self, extent: Extent) -> tuple[ChunkContents, memoryview]:
-        """Return what is in a chunk, and its data; of a damaged one what can be had, with a warning."""
+        """Return the contents of a chunk and its data; of a damaged one the readable part, with a warning."""
         try:
             data = self._data(extent)
         except BagError as error:
             self._warn_of_chunk(extent, str(error))
             return ChunkContents(damage=str(error)), memoryview(b"")
-        # Of a chunk that is read again, as many as the first time.
+        # A chunk that is read again may give as many as the first time.
         most = self._most.get(extent.offset, self._expansion.most_messages(extent.data_size))
         contents = self._form.contents(data, self._limits, most)
         if extent.offset not in self._most:
@@ -244,7 +244,7 @@ class ChunkedStorage:
         return data
 
     def _compare(self) -> None:
-        """Say where the file promises something else than it has."""
+        """Warn of differences between what the file declares and what it holds."""
         declared = self._index.declared
         if declared is None:
             return
@@ -282,7 +282,7 @@ class ChunkedStorage:
 
     def _warn_of_chunk(self, extent: Extent, reason: str) -> None:
         if extent.offset == self._cut_at:
-            return  # cut by the end of the file, which is said as such
+            return  # truncated by the end of the file, which has a warning of its own
         self._warnings.add(
             f"{self._name}: chunk at byte {extent.offset} ({seconds(extent.start_ns)} to {seconds(extent.end_ns)}) "
             f"is damaged, what cannot be read of it is skipped: {reason}",
@@ -290,7 +290,7 @@ class ChunkedStorage:
         )
 
     def _warn_of_gaps(self) -> None:
-        """Say what is missing in full for the first gap and for the end; many gaps are counted."""
+        """Warn of gaps: in full for the first one and for the end; others are counted."""
         size = self._file.size
         for number, gap in enumerate(self._index.gaps):
             if gap.end == size:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What bag files made of chunks (MCAP, ROS 1) share: records, and what a walk over a file found."""
+"""Types shared by the formats made of chunks (MCAP, ROS 1): definitions, contents of a chunk, index of a file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from imgu_ros.bags.salvage.extents import Extent, ExtentTable
 from imgu_ros.bags.storage import MAX_TIME_NS
 from imgu_ros.config.parameters import LimitsParameters
 
-#: A larger message that is a good part of its chunk, as a picture mostly is, is not copied out of it.
+#: A larger message that is a large part of its chunk, as an image mostly is, is not copied out of it.
 _VIEWED_BYTES = 2**16
 _MOST_TEXT = 2**26
-#: That a definition takes beside its texts.
+#: Memory of a definition beside its texts.
 _RECORD_BYTES = 200
-#: Of files in one: each takes some kilobytes and a part of a millisecond, and may have 40 bytes.
+#: Concatenated files: each takes some kilobytes and less than a millisecond, and may have only 40 bytes.
 _MOST_FILES = 5000
-#: Numbers that are compared faster one by one than as an array.
+#: So few numbers are compared faster one by one than as an array.
 _FEW = 50
 
 
@@ -50,13 +50,13 @@ class ChannelRecord:
 
 @dataclass(slots=True, eq=False)
 class DefinitionBudget:
-    """What definitions may take together, `_MOST_TEXT` bytes; a text that comes again takes nothing."""
+    """Memory for all definitions, `_MOST_TEXT` bytes; a repeated text takes nothing."""
 
     left: int = _MOST_TEXT
     texts: dict[str, str] = field(default_factory=dict)
 
     def kept(self, record: SchemaRecord | ChannelRecord) -> SchemaRecord | ChannelRecord | None:
-        """Return the record, its text as it is known; None when there is no budget for it."""
+        """Return the record, with a known text reused; None when the budget is exceeded."""
         if isinstance(record, ChannelRecord):
             text, size = "", len(record.topic)
         else:
@@ -70,7 +70,7 @@ class DefinitionBudget:
 
 @dataclass(slots=True, eq=False)
 class Definitions:
-    """Definitions by their ids; of two with the same id, the first counts. Beyond their budget they are not taken."""
+    """Definitions by id; of two with the same id the first counts. Those beyond the budget are dropped."""
 
     schemas: dict[int, SchemaRecord] = field(default_factory=dict)
     channels: dict[int, ChannelRecord] = field(default_factory=dict)
@@ -87,7 +87,7 @@ class Definitions:
             self.channels[kept.id] = kept
 
     def share(self, budget: DefinitionBudget) -> None:
-        """Take from a budget that others take from too."""
+        """Use a budget together with others."""
         records: list[SchemaRecord | ChannelRecord] = [*self.schemas.values(), *self.channels.values()]
         kept = [budget.kept(record) for record in records]
         self.budget = budget
@@ -95,7 +95,7 @@ class Definitions:
         self.channels = {record.id: record for record in kept if isinstance(record, ChannelRecord)}
 
     def take(self, other: Definitions) -> None:
-        """Take what another one defines and this one does not."""
+        """Add the definitions of another one that are missing here."""
         for schema in other.schemas.values():
             self.define(schema)
         for channel in other.channels.values():
@@ -104,15 +104,15 @@ class Definitions:
 
 @dataclass(slots=True, eq=False)
 class ChunkContents:
-    """What the decompressed data of a chunk hold: places of messages, not the messages, which may be millions.
+    """Contents of a chunk's decompressed data: positions of messages, not the messages, which may be millions.
 
     Attributes
     ----------
     channels, times, begins, ends : of each message, in the order of the data: channel id, ns, place of its bytes
     definitions : those among the records
-    damage : why reading broke off; empty when it did not
-    size : bytes that were read until then
-    foreign_at : place of the first record that does not belong into a chunk; -1: there is none
+    damage : why parsing stopped; empty when it did not
+    size : number of bytes parsed
+    foreign_at : position of the first record that does not belong in a chunk; -1: none
     """
 
     channels: array[int] = field(default_factory=lambda: array("I"))
@@ -125,11 +125,11 @@ class ChunkContents:
     foreign_at: int = -1
 
     def end_with(self, most: int) -> None:
-        """Note that reading broke off because there are more messages than `most`."""
+        """Note that parsing stopped because there are more messages than `most`."""
         self.damage = f"more than {most} messages of so few bytes; need longer ones, or fewer (limits.expansion)"
 
     def note_foreign(self, at: int) -> None:
-        """Note a record that does not belong into a chunk: its sizes may be wrong, so that others are in it."""
+        """Note a record that does not belong in a chunk: its length may be wrong, so that others are inside it."""
         if self.foreign_at < 0:
             self.foreign_at = at
 
@@ -169,13 +169,13 @@ class Gap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeclaredContents:
-    """What the file itself says of its contents, behind its data; -1: not said.
+    """The numbers that a file declares behind its data; -1: not declared.
 
     Attributes
     ----------
-    source : where it says so
-    messages, chunks, listed_chunks : how many in all; listed one by one
-    counts : messages by channel id; empty: not said
+    source : name of the record that declares them
+    messages, chunks, listed_chunks : numbers in all; listed_chunks: those that the file lists one by one
+    counts : messages by channel id; empty: not declared
     start_ns, end_ns : times of the first and the last message
     """
 
@@ -190,19 +190,19 @@ class DeclaredContents:
 
 @dataclass(slots=True, eq=False)
 class ChunkIndex:
-    """What the walk over the records of a file, or of one of several that follow one another in it, found.
+    """Index of a file, or of one of several concatenated files, made by walking its records.
 
     Attributes
     ----------
     extents : in the order of the file
-    definitions : those outside of chunks that the data need no confirming of
+    definitions : those outside of chunks that are sure
     summary : those behind the data, which the data may contradict
-    declared : what the file says of itself
-    gaps : bytes that could not be understood
-    remarks : what else is to be said, a line each
-    is_complete : the file's proper end was found
-    chunks : how many there are, those without messages too
-    is_doubtful : what it says of itself contradicts itself, so that its data must be read to know
+    declared : what the file declares of its contents
+    gaps : bytes that could not be parsed
+    remarks : further warnings
+    is_complete : the regular end of the file was found
+    chunks : number of chunks, those without messages included
+    is_doubtful : the declarations contradict each other, so that all data must be read
     """
 
     extents: ExtentTable = field(default_factory=ExtentTable)
@@ -217,7 +217,7 @@ class ChunkIndex:
 
 
 class Search(Protocol):
-    """Finds the chunks in a part of a file, where a chunk was taken for one that is none, or is damaged."""
+    """Finds chunks inside a damaged chunk, or inside bytes that were wrongly taken for one."""
 
     def __call__(self, file: ByteFile, start: int, end: int) -> Iterator[Extent]:
         """Yield the whole chunks between two places."""
@@ -225,12 +225,12 @@ class Search(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChunkFormat:
-    """What is particular of a format.
+    """The functions of a format.
 
     Attributes
     ----------
-    index : walks over a file
-    contents : parses the decompressed data of a chunk, whatever they are, up to a number of messages
+    index : indexes a file
+    contents : parses the decompressed data of a chunk, which may be damaged, up to a number of messages
     search : finds chunks
     """
 
@@ -240,11 +240,11 @@ class ChunkFormat:
 
 
 def walked_files(walk: Callable[[int], tuple[ChunkIndex, int]], start: int) -> list[ChunkIndex]:
-    """Walk over the files that follow one another in one; so many that only a forged file has them are left, and said.
+    """Index concatenated files; beyond `_MOST_FILES`, which only a forged file has, they are left out with a remark.
 
     Parameters
     ----------
-    walk : walks over the file that begins at a place; gives what it found, and where the next one begins, -1: nowhere
+    walk : indexes the file that begins at an offset; returns the index and the offset of the next file, -1: none
     start : of the first
     """
     found: list[ChunkIndex] = []

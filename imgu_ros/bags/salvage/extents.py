@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chunks of a file, and where they are: many of them in little memory."""
+"""Extents of a file that hold messages: chunks, and messages outside of chunks. Separate: a compact table of many."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imgu_ros.bags.storage import MAX_TIME_NS
 
 @dataclass(slots=True, eq=False)
 class Extent:
-    """A chunk, or some messages outside of chunks.
+    """A chunk, or a run of messages outside of chunks.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Extent:
 
 
 class ExtentTable:
-    """Many extents in little memory: 64 bytes each; a chunk of one small message takes hardly more in the file."""
+    """A table of extents, 64 bytes each: a chunk of one small message takes hardly more in the file."""
 
     _COLUMNS = 8
     _OFFSET, _DATA_OFFSET, _DATA_SIZE, _SIZE, _START, _END, _FLAGS, _COUNTS = range(8)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find what a whole or damaged MCAP file holds, by walking its records from the first to the last.
+"""Index an MCAP file, intact or damaged, by walking its records from the first to the last.
 
-The file's own summary is not needed: the walk reads some bytes of every record, and jumps over the data. Where the
-chain of records breaks, the next record that is consistent in itself is sought, from the last place on that is sure: a
-wrong length may have led beyond whole chunks. Files that follow one another in one are walked one after the other.
+The file's own summary is not needed: the walk reads some bytes of every record and skips the data. Behind a broken
+record it searches for the next record that is consistent in itself. The search starts at the last position that is
+sure, because a wrong length may have led beyond whole chunks. Concatenated files are indexed one after the other.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _BLOCK_BYTES = 2**20
 _STATISTICS_BYTES = 2**20
 _FOOTER = struct.Struct("<QQI")
 _DATA_END_BYTES = 4
-# The length of a chunk's compression, by which nearly all other records are told from chunks.
+# The length of a chunk's compression, which distinguishes nearly all other records from chunks.
 _COMPRESSION = slice(PREFIX.size + 28, PREFIX.size + 32)
 _FIRST_PRIVATE_OPCODE = 0x80
 _MOST_REMARKS = 20
@@ -280,7 +280,7 @@ class _McapWalk:
             self.found.remarks.append(text)
 
     def is_disguised_chunk(self, at: int, head: bytes, length: int) -> bool:
-        """Whether a record of another type is consistent as a chunk, which nothing else is by chance."""
+        """Whether a record of another type is consistent as a chunk, which does not happen by chance."""
         try:
             if head[_COMPRESSION] not in COMPRESSION_LENGTHS or length < HEAD_BYTES:
                 return False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find records in the bytes of a damaged MCAP file: what looks like one, and whether it is consistent in itself."""
+"""Find records in a damaged MCAP file: candidates by pattern, and checks of their consistency."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CHAINED = 3
 
 
 def mcap_chunks(file: ByteFile, start: int, end: int) -> Iterator[Extent]:
-    """Yield the chunks between two places of a file that are consistent in themselves, one behind the other."""
+    """Yield the chunks between two places of a file that are consistent in themselves, in file order."""
     for at in chunk_candidates(file, start, end):
         if at < start:
             continue
@@ -71,12 +71,12 @@ def prefix(head: bytes) -> tuple[int, int]:
 
 
 def candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
-    """Yield the places where something begins that looks like a record or a file, in their order."""
+    """Yield the offsets of candidates for records and for beginnings of files, in ascending order."""
     return file.find(_CANDIDATE, start, end, HEAD_BYTES)
 
 
 def chunk_candidates(file: ByteFile, start: int, end: int) -> Iterator[int]:
-    """Yield the places where something begins that looks like a chunk, in their order."""
+    """Yield the offsets of candidates for chunks, in ascending order."""
     return file.find(_CHUNK_CANDIDATE, start, end, HEAD_BYTES)
 
 

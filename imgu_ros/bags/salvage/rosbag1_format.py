@@ -129,7 +129,7 @@ def record_header(data: bytes | memoryview, at: int, *, is_sure: bool = False) -
 def define(definitions: Definitions, header: RecordHeader, data: bytes | memoryview, limits: LimitsParameters) -> None:
     """Take what a connection record defines; of one that cannot be read, what can be.
 
-    Its data are a header as of a connection between nodes: callerid, md5sum, latching and others that nobody reads.
+    Its data are a header as of a connection between nodes: callerid, md5sum, latching and others, which are not used.
     """
     fields: dict[str, bytes] = {}
     identity = header.number("conn")

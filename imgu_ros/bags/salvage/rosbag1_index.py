@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find what a whole, unindexed, cut or damaged ROS 1 bag holds, by walking its records from the first to the last.
+"""Index a ROS 1 bag, intact, unindexed, truncated or damaged, by walking its records from the first to the last.
 
-Where the chain of records breaks, the next chunk, or record of the index, is sought from the last sure place on. Bags
-that follow one another in one file are walked one after the other.
+Behind a broken record the walk searches for the next chunk or index record, from the last position that is sure.
+Concatenated bags are indexed one after the other.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _INDEX_BYTES = 12 * 2**16
 _MOST_REMARKS = 20
 #: Messages outside of chunks are read in extents of about this size.
 _EXTENT_BYTES = 2**22
-# A header of some fields, the first of which has a name; each match is one byte, so that none hides another.
+# A header whose first field has a name; each match is one byte, so that overlapping candidates are all found.
 _HEADER = rb"[\x18-\x80](?=\0\0\0[\x04-\x40]\0\0\0[a-z].{0,120}?op=[%s])"
 _CANDIDATE = re.compile(_HEADER % rb"\x05\x06\x07" + rb"|#(?=ROSBAG V2\.0\n)", re.DOTALL)
 _CHUNK_CANDIDATE = re.compile(_HEADER % rb"\x05", re.DOTALL)
@@ -62,7 +62,7 @@ def index_rosbag1(file: ByteFile, limits: LimitsParameters) -> list[ChunkIndex]:
 
 
 def rosbag1_chunks(file: ByteFile, start: int, end: int) -> Iterator[Extent]:
-    """Yield the chunks between two places of a file, one behind the other."""
+    """Yield the chunks between two places of a file, in file order."""
     for at in file.find(_CHUNK_CANDIDATE, start, end, _HEAD_BYTES):
         if at < start:
             continue

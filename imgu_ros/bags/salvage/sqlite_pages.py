@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages in the pages of a damaged SQLite file, wherever they are: what its b-tree leads to no more is found too.
+"""Find messages in the pages of a damaged SQLite file, also in pages that its b-tree no longer references.
 
-One walk over the file takes every leaf page of a table, and of its rows those that are as rosbag2 writes them: NULL
-(the id is the row's own), two integers, a blob. Source: SQLite's *Database File Format*, sections 1.6 and 2.
+One pass over the file takes every leaf page of a table, and of its rows those that rosbag2 writes: NULL (the id is the
+row's own), two integers, a blob. Source: SQLite's *Database File Format*, sections 1.6 and 2.
 """
 
 from __future__ import annotations
