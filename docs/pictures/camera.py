@@ -12,7 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from imgu_ros.simulate.chessboard import draw_chessboard
-from imgu_ros.vision.camera import Chessboard, RigidTransform, bend, exp_so3, find_chessboard, fold_radius, make_camera
+from imgu_ros.vision.camera import (
+    Chessboard,
+    RigidTransform,
+    distort,
+    exp_so3,
+    find_chessboard,
+    fold_radius,
+    make_camera,
+)
 
 BOARD = Chessboard(9, 6, 0.03)
 LENSES = (
@@ -45,10 +53,10 @@ def _curves(axes: Axes) -> None:
     theta = np.linspace(0, np.radians(75), 300)
     along_x = np.column_stack((np.tan(theta), np.zeros_like(theta)))
     for (model, k), color in zip(LENSES, ("#0072b2", "#e69f00", "#009e73"), strict=True):
-        axes.plot(np.degrees(theta), bend(model, k, along_x)[0][:, 0], color=color, label=model)
+        axes.plot(np.degrees(theta), distort(model, k, along_x)[0][:, 0], color=color, label=model)
         fold = fold_radius(model, k)
         if np.degrees(np.arctan(fold)) < 75:
-            axes.plot(np.degrees(np.arctan(fold)), bend(model, k, [[fold, 0]])[0][0, 0], "o", color=color)
+            axes.plot(np.degrees(np.arctan(fold)), distort(model, k, [[fold, 0]])[0][0, 0], "o", color=color)
             axes.text(np.degrees(np.arctan(fold)), 0.35, "fold: no inverse beyond", ha="center", fontsize=7)
     axes.plot(np.degrees(theta), np.tan(theta), ":", color="#888888", label="no lens: tan")
     axes.set(ylim=(0, 1.8), xlabel="angle off the axis (deg)", ylabel="distorted radius / f", title="radial part")

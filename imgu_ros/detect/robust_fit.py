@@ -17,7 +17,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import Located, bending, require_plausible
+from imgu_ros.pose.planar_pose import Located, distorting_camera, require_plausible
 from imgu_ros.reasons import why_not_found
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
@@ -89,7 +89,7 @@ class RobustFit:
     ) -> None:
         self._frame = frame
         self._image = image
-        self._lens = bending(frame.camera)
+        self._lens = distorting_camera(frame.camera)
         self._unit_px = unit_px
         self._parameters = parameters
         self._clock = clock

@@ -13,7 +13,7 @@ from imgu_ros.detect.features import Features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.robust_fit import LocatedMatches, RobustFit
 from imgu_ros.errors import EstimationError
-from imgu_ros.pose.planar_pose import Located, bending, require_plausible
+from imgu_ros.pose.planar_pose import Located, distorting_camera, require_plausible
 from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.reference.reference import Reference
@@ -68,7 +68,7 @@ def search(
     missing = ReferenceResult(reference.name, reference.number, Status.LOST, matches=matches)
     guide = None
     if parameters.matching.guided:
-        lens = bending(context.frame.camera)
+        lens = distorting_camera(context.frame.camera)
         guide = partial(guided, reference, known, features, lens=lens, parameters=parameters)
     fit = RobustFit(context.frame, context.image, features.unit_px, parameters, context.clock)
     return fit.locate(missing, reference, rng, guide)

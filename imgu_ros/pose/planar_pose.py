@@ -46,7 +46,7 @@ class Located:
 
 
 @lru_cache(maxsize=8)
-def bending(camera: Camera | None) -> Camera | None:
+def distorting_camera(camera: Camera | None) -> Camera | None:
     """Return the camera when its lens distorts, else None: then raw pixels are ideal ones."""
     return camera if camera is not None and camera.is_distorted else None
 
@@ -60,7 +60,7 @@ def with_homography(found: ReferenceResult, plane: Plane, located: Located, came
         If a part of the reference would lie behind the camera.
     """
     outline = seen_outline(plane, located.homography.H)
-    lens = bending(camera)
+    lens = distorting_camera(camera)
     if lens is not None:
         outline = lens.raw_pixels(outline)
     return replace(found, homography=located.homography, outline=outline, is_sharp=located.halvings == 0)

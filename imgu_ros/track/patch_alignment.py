@@ -16,7 +16,7 @@ from imgu_ros.pose.planar_pose import seen_outline
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.types import Image, Indices, Matrix3, Points
-from imgu_ros.vision.camera.distortion import bend
+from imgu_ros.vision.camera.distortion import distort
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.patch_atlas import LONGEST_PX, PatchAtlas
 from imgu_ros.vision.matching.patch_bank import LocalDistortion, PatchBank
@@ -346,7 +346,7 @@ class LevelAlignment:
         square = K[:2, :2]
         inverse = np.linalg.inv(square)
         normalised = (self._scaling.to_full_unchecked(straight) - K[:2, 2]) @ inverse.T
-        xy, by_xy = bend(camera.model, camera.distortion, normalised)
+        xy, by_xy = distort(camera.model, camera.distortion, normalised)
         distorted = self._scaling.from_full_unchecked(xy @ square.T + K[:2, 2])
         return LocalDistortion(straight, distorted, square @ by_xy @ inverse)
 

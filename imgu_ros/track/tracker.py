@@ -14,7 +14,7 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import Located, bending, require_plausible
+from imgu_ros.pose.planar_pose import Located, distorting_camera, require_plausible
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
 from imgu_ros.track.patch_alignment import PatchAlignment, align_patches
@@ -70,7 +70,7 @@ def follow(
         If the track does not hold.
     """
     reason = "track: lost"
-    lens = bending(camera)
+    lens = distorting_camera(camera)
     for start in _starts(track, target, stamp_ns, pictures.shape[1]):
         try:
             H = shifted_homography(pictures, target, start.H, lens, start.shift_px) if start.shift_px else start.H

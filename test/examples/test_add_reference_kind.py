@@ -18,7 +18,7 @@ from imgu_ros.errors import EstimationError
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.calibration_check import CalibrationCheck
-from imgu_ros.pose.planar_pose import Located, bending, planar_pose
+from imgu_ros.pose.planar_pose import Located, distorting_camera, planar_pose
 from imgu_ros.pose.plane import Plane
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage, TemplatePyramids, Templates
@@ -90,7 +90,7 @@ class SquareMarkerDetector:
         turn = turn_of(marker.code, context.image.grey, square)
         if turn is None:
             raise EstimationError("no square has its code")
-        lens, p = bending(context.frame.camera), self._parameters
+        lens, p = distorting_camera(context.frame.camera), self._parameters
         corners = (
             np.roll(square, -turn, axis=0) if lens is None else lens.ideal_pixels(np.roll(square, -turn, axis=0))[0]
         )

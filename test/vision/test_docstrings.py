@@ -17,7 +17,7 @@ import imgu_ros.vision
 MODULES = [
     importlib.import_module(item.name)
     for item in pkgutil.walk_packages(imgu_ros.vision.__path__, "imgu_ros.vision.")
-    if not item.ispkg
+    if not item.ispkg and item.name.count(".") > 2  # a table of methods is in no room
 ]
 
 

@@ -99,7 +99,7 @@ def test_the_short_example() -> None:
 
 #: What two values are is said by the function's name, or is points and which of them are valid.
 PAIRS = {
-    "rq", "bend", "unbend", "undistort", "ideal_pixels", "project_with_jacobian", "as_correspondences",
+    "rq", "distort", "undistort", "ideal_pixels", "project_with_jacobian", "as_correspondences",
     "poses_about_point", "checked_size", "aspect",
 }  # fmt: skip
 

@@ -44,7 +44,7 @@ from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projec
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
 from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.decomposition import CameraParts, decompose_projection, rq
-from imgu_ros.vision.camera.distortion import Bent, bend, bend_with_derivatives, fold_radius, unbend
+from imgu_ros.vision.camera.distortion import DistortedPoints, distort, distort_with_derivatives, fold_radius, undistort
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.euler import EulerOrder, euler_angles, from_euler
 from imgu_ros.vision.camera.homography_pose import poses_about_point, poses_of_homography
@@ -75,7 +75,6 @@ from imgu_ros.vision.camera.view_choice import board_turns, choose_views, withou
 
 __all__ = [
     "AngleOfView",
-    "Bent",
     "BundleProblem",
     "BundleState",
     "CalibratedView",
@@ -85,6 +84,7 @@ __all__ = [
     "Camera",
     "CameraParts",
     "Chessboard",
+    "DistortedPoints",
     "DistortionModel",
     "EulerOrder",
     "FusedPose",
@@ -105,8 +105,6 @@ __all__ = [
     "as_distortion_model",
     "as_intrinsic_matrix",
     "as_rotation",
-    "bend",
-    "bend_with_derivatives",
     "board_turns",
     "calibrate",
     "camera_centre",
@@ -116,6 +114,8 @@ __all__ = [
     "decompose_projection",
     "depths",
     "design_matrix",
+    "distort",
+    "distort_with_derivatives",
     "estimate_pose",
     "estimate_projection",
     "estimate_rotation",
@@ -156,7 +156,7 @@ __all__ = [
     "rq",
     "tilt_derivatives",
     "tilt_matrix",
-    "unbend",
+    "undistort",
     "weigh_calibration",
     "with_covariance",
     "without_copies",

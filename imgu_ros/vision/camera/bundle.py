@@ -11,7 +11,7 @@ import numpy as np
 from imgu_ros.arguments import as_sequence
 from imgu_ros.errors import DegenerateConfiguration, ShapeError
 from imgu_ros.types import Floats, Points, as_points
-from imgu_ros.vision.camera.distortion import bend_with_derivatives
+from imgu_ros.vision.camera.distortion import distort_with_derivatives
 from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel, as_distortion_model
 from imgu_ros.vision.camera.pose_problem import point_by_pose
 from imgu_ros.vision.camera.rigid import RigidTransform
@@ -87,23 +87,23 @@ class BundleProblem:
         size, count = len(self._plane), len(points)
         xy = points[:, :2] / points[:, 2:]
         try:
-            bent = bend_with_derivatives(self._model, state.intrinsics[4:], xy)
+            distorted = distort_with_derivatives(self._model, state.intrinsics[4:], xy)
         except ShapeError as error:
             raise DegenerateConfiguration(f"view: {error}") from None
         focal = np.array([fx, fy])
         jacobian = np.zeros((count, 2, self._shared + _POSE_FREEDOM * self._count))
-        jacobian[:, 0, 0], jacobian[:, 1, 1] = bent.xy.T
+        jacobian[:, 0, 0], jacobian[:, 1, 1] = distorted.xy.T
         jacobian[:, 0, 2] = jacobian[:, 1, 3] = 1.0
-        jacobian[:, :, 4 : self._shared] = focal[:, None] * bent.by_coefficients
+        jacobian[:, :, 4 : self._shared] = focal[:, None] * distorted.by_coefficients
         by_point = np.zeros((count, 2, 3))
         by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / points[:, 2]
         by_point[:, :, 2] = -xy / points[:, 2:]
-        by_point = focal[:, None] * (bent.by_xy @ by_point)
+        by_point = focal[:, None] * (distorted.by_xy @ by_point)
         for index, pose in enumerate(state.poses):
             rows = slice(index * size, (index + 1) * size)
             first = self._shared + _POSE_FREEDOM * index
             jacobian[rows, :, first : first + _POSE_FREEDOM] = by_point[rows] @ point_by_pose(points[rows], pose.t)
-        return Linearisation(focal * bent.xy + (cx, cy) - self._pixels, jacobian)
+        return Linearisation(focal * distorted.xy + (cx, cy) - self._pixels, jacobian)
 
     def step(self, estimate: Floats, delta: Floats) -> Floats:
         """Return the estimate moved: intrinsics and t by addition, R to Exp(r) R."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.arguments import require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Points, as_points, as_rows
-from imgu_ros.vision.camera.distortion import bend_with_derivatives
+from imgu_ros.vision.camera.distortion import distort_with_derivatives
 from imgu_ros.vision.camera.intrinsics import Camera
 
 
@@ -38,8 +38,8 @@ def raw_by_camera(camera: Camera, points: ArrayLike) -> Floats:
     if len(points) and not points[:, 2].min() > 0:
         raise ShapeError(f"points: smallest z {points[:, 2].min():g}; need z > 0 (in front of the camera)")
     with np.errstate(over="ignore"):
-        bent = bend_with_derivatives(camera.model, camera.distortion, points[:, :2] / points[:, 2:])
-    return _raw_by_camera(camera, bent.xy, bent.by_coefficients)
+        distorted = distort_with_derivatives(camera.model, camera.distortion, points[:, :2] / points[:, 2:])
+    return _raw_by_camera(camera, distorted.xy, distorted.by_coefficients)
 
 
 def ideal_by_camera(camera: Camera, ideal: ArrayLike) -> Floats:
@@ -72,12 +72,12 @@ def ideal_by_camera(camera: Camera, ideal: ArrayLike) -> Floats:
     K = camera.K
     with np.errstate(over="ignore", invalid="ignore"):
         xy = np.linalg.solve(K[:2, :2], (ideal - K[:2, 2]).T).T
-    bent = bend_with_derivatives(camera.model, camera.distortion, xy)
-    raw = _raw_by_camera(camera, bent.xy, bent.by_coefficients)
+    distorted = distort_with_derivatives(camera.model, camera.distortion, xy)
+    raw = _raw_by_camera(camera, distorted.xy, distorted.by_coefficients)
     if not camera.is_distorted:
         return -raw
     # Raw px by ideal px: a derivative that the lens model can lose only where it folds.
-    a, b, c, d = bent.by_xy.reshape(-1, 4, 1).swapaxes(0, 1)
+    a, b, c, d = distorted.by_xy.reshape(-1, 4, 1).swapaxes(0, 1)
     determinant = a * d - b * c
     if len(ideal) and not float(determinant.min()) > 0:
         raise ShapeError("ideal: beyond the range of the lens model; need points nearer the axis")
@@ -91,10 +91,10 @@ def ideal_by_camera(camera: Camera, ideal: ArrayLike) -> Floats:
     return moved
 
 
-def _raw_by_camera(camera: Camera, bent_xy: Points, by_coefficients: Floats) -> Floats:
+def _raw_by_camera(camera: Camera, distorted_xy: Points, by_coefficients: Floats) -> Floats:
     """Return the derivative of raw px, (N, 2, 4 + D), of distorted normalised points."""
-    by = np.zeros((len(bent_xy), 2, 4 + by_coefficients.shape[2]))
-    by[:, 0, 0], by[:, 1, 1] = bent_xy[:, 0], bent_xy[:, 1]
+    by = np.zeros((len(distorted_xy), 2, 4 + by_coefficients.shape[2]))
+    by[:, 0, 0], by[:, 1, 1] = distorted_xy[:, 0], distorted_xy[:, 1]
     by[:, 0, 2] = by[:, 1, 3] = 1
     by[:, :, 4:] = camera.K[:2, :2] @ by_coefficients
     return by

@@ -39,7 +39,7 @@ _PRISM, _TILT = 8, 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bent:
+class DistortedPoints:
     """Distorted points and their derivatives.
 
     Attributes
@@ -54,7 +54,7 @@ class Bent:
     by_coefficients: Floats
 
 
-def bend(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> tuple[Points, Floats]:
+def distort(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> tuple[Points, Floats]:
     """Distort ideal normalised points `xy`, (N, 2); also return the derivative by them, (N, 2, 2).
 
     Raises
@@ -64,29 +64,29 @@ def bend(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -
 
     Examples
     --------
-    >>> bend("plumb_bob", [0.1, 0, 0, 0, 0], [[0.5, 0.0]])[0].round(6).tolist()  # 0.5 (1 + 0.1 * 0.25)
+    >>> distort("plumb_bob", [0.1, 0, 0, 0, 0], [[0.5, 0.0]])[0].round(6).tolist()  # 0.5 (1 + 0.1 * 0.25)
     [[0.5125, 0.0]]
     """
     model, k, xy = _checked(model, coefficients, xy)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        bent, by_xy = _BENT[model](k, xy)
-    if not (np.isfinite(bent).all() and np.isfinite(by_xy).all()):
+        distorted, by_xy = _DISTORTED[model](k, xy)
+    if not (np.isfinite(distorted).all() and np.isfinite(by_xy).all()):
         raise ShapeError(f"xy: the {model} model is not finite at {np.abs(xy).max():g}; need points nearer the axis")
-    return bent, by_xy
+    return distorted, by_xy
 
 
-def bend_with_derivatives(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> Bent:
-    """As `bend`, of the same `model`, `coefficients` and `xy`, with the derivative by the coefficients as well."""
+def distort_with_derivatives(model: DistortionModel | str, coefficients: ArrayLike, xy: ArrayLike) -> DistortedPoints:
+    """As `distort`, of the same `model`, `coefficients` and `xy`, with the derivative by the coefficients as well."""
     model, k, xy = _checked(model, coefficients, xy)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        bent, by_xy = _BENT[model](k, xy)
+        distorted, by_xy = _DISTORTED[model](k, xy)
         by_k = _equidistant_by_coefficients(xy) if model is DistortionModel.EQUIDISTANT else _by_coefficients(k, xy)
-    if not (np.isfinite(bent).all() and np.isfinite(by_xy).all() and np.isfinite(by_k).all()):
+    if not (np.isfinite(distorted).all() and np.isfinite(by_xy).all() and np.isfinite(by_k).all()):
         raise ShapeError(f"xy: the {model} model is not finite at {np.abs(xy).max():g}; need points nearer the axis")
-    return Bent(bent, by_xy, by_k)
+    return DistortedPoints(distorted, by_xy, by_k)
 
 
-def unbend(model: DistortionModel | str, coefficients: ArrayLike, bent: ArrayLike) -> tuple[Points, Mask]:
+def undistort(model: DistortionModel | str, coefficients: ArrayLike, distorted: ArrayLike) -> tuple[Points, Mask]:
     """Remove the distortion of normalised points by Newton's method.
 
     Where Newton does not arrive from the distorted point itself, it starts again from the inverse of the radial part,
@@ -95,7 +95,7 @@ def unbend(model: DistortionModel | str, coefficients: ArrayLike, bent: ArrayLik
     Parameters
     ----------
     model, coefficients : of the lens
-    bent : (N, 2) distorted, normalised
+    distorted : (N, 2) distorted, normalised
 
     Returns
     -------
@@ -105,32 +105,32 @@ def unbend(model: DistortionModel | str, coefficients: ArrayLike, bent: ArrayLik
 
     Examples
     --------
-    >>> xy, valid = unbend("plumb_bob", [-0.5, 0, 0, 0, 0], [[0.5, 0.0], [0.6, 0.0]])
+    >>> xy, valid = undistort("plumb_bob", [-0.5, 0, 0, 0, 0], [[0.5, 0.0], [0.6, 0.0]])
     >>> xy[0].round(6).tolist(), valid.tolist()  # r (1 - r^2 / 2) never exceeds 0.544
     ([0.618034, 0.0], [True, False])
     """
-    model, k, bent = _checked(model, coefficients, bent)
+    model, k, distorted = _checked(model, coefficients, distorted)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = np.ones(len(bent), bool)
-        given = bent
+        seen = np.ones(len(distorted), bool)
+        given = distorted
         if model is DistortionModel.TILTED:
             # The tilt has an exact inverse.
-            bent, _ = _mapped(np.linalg.inv(tilt_matrix(*k[_TILT:])), bent)
-            seen = np.isfinite(bent).all(axis=1)
-            bent[~seen] = 0.0
+            distorted, _ = _mapped(np.linalg.inv(tilt_matrix(*k[_TILT:])), distorted)
+            seen = np.isfinite(distorted).all(axis=1)
+            distorted[~seen] = 0.0
             model, k = DistortionModel.THIN_PRISM, k[:_TILT]
         if model is DistortionModel.EQUIDISTANT:
             # Start from the undistorted equidistant lens; r = tan(theta), kept below 90 degrees.
-            theta = np.minimum(np.hypot(bent[:, 0], bent[:, 1]), 1.5)
-            start = bent * np.where(theta > 0, np.tan(theta) / np.where(theta > 0, theta, 1.0), 1.0)[:, None]
+            theta = np.minimum(np.hypot(distorted[:, 0], distorted[:, 1]), 1.5)
+            start = distorted * np.where(theta > 0, np.tan(theta) / np.where(theta > 0, theta, 1.0), 1.0)[:, None]
         else:
-            start = bent.copy()
-        xy, valid = _newton(model, k, bent, start)
+            start = distorted.copy()
+        xy, valid = _newton(model, k, distorted, start)
         farthest = _FOLD_MARGIN * fold_radius(model, k)
         valid &= np.hypot(xy[:, 0], xy[:, 1]) <= farthest
         missed = ~valid
         if missed.any():
-            again, found = _newton(model, k, bent[missed], _radial_inverse(model, k, bent[missed]))
+            again, found = _newton(model, k, distorted[missed], _radial_inverse(model, k, distorted[missed]))
             found &= np.hypot(again[:, 0], again[:, 1]) <= farthest
             xy[missed], valid[missed] = again, found
         valid &= seen
@@ -189,7 +189,7 @@ def _checked(
     return model, k, as_points(xy, "xy")
 
 
-def _bend_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:
+def _distort_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:
     x, y = xy.T
     k1, k2, p1, p2, k3 = k[:5]
     k4, k5, k6 = k[5:8] if len(k) > 5 else (0.0, 0.0, 0.0)
@@ -199,7 +199,7 @@ def _bend_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:
     radial = numerator / denominator
     # d radial / d r2
     slope = (k1 + r2 * (2 * k2 + 3 * k3 * r2) - radial * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) / denominator
-    bent = np.column_stack(
+    distorted = np.column_stack(
         (
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
@@ -211,12 +211,12 @@ def _bend_polynomial(k: Floats, xy: Points) -> tuple[Points, Floats]:
     jacobian[:, 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
     if len(k) > _PRISM:
         first, second = k[[8, 10]], k[[9, 11]]
-        bent += r2[:, None] * first + (r2 * r2)[:, None] * second
+        distorted += r2[:, None] * first + (r2 * r2)[:, None] * second
         jacobian += 2 * (first + 2 * r2[:, None] * second)[:, :, None] * xy[:, None, :]
     if len(k) > _TILT:
-        bent, by_flat = _mapped(tilt_matrix(*k[_TILT:]), bent)
+        distorted, by_flat = _mapped(tilt_matrix(*k[_TILT:]), distorted)
         jacobian = by_flat @ jacobian
-    return bent, jacobian
+    return distorted, jacobian
 
 
 def _mapped(T: Matrix3, xy: Points) -> tuple[Points, Floats]:
@@ -243,28 +243,28 @@ def _by_coefficients(k: Floats, xy: Points) -> Floats:
     if len(k) > _PRISM:
         by_k[:, 0, 8:10] = by_k[:, 1, 10:12] = powers[:, :2]
     if len(k) > _TILT:
-        flat, _ = _bend_polynomial(k[:_TILT], xy)
+        flat, _ = _distort_polynomial(k[:_TILT], xy)
         T = tilt_matrix(*k[_TILT:])
-        bent, by_flat = _mapped(T, flat)
+        distorted, by_flat = _mapped(T, flat)
         by_k[:, :, :_TILT] = by_flat @ by_k[:, :, :_TILT]
         homogeneous = np.column_stack((flat, np.ones(len(xy))))
         by_tilt = homogeneous @ np.swapaxes(tilt_derivatives(*k[_TILT:]), 1, 2)
         by_k[:, :, _TILT:] = np.moveaxis(
-            (by_tilt[:, :, :2] - bent * by_tilt[:, :, 2:]) / (homogeneous @ T[2])[:, None], 0, 2
+            (by_tilt[:, :, :2] - distorted * by_tilt[:, :, 2:]) / (homogeneous @ T[2])[:, None], 0, 2
         )
     return by_k
 
 
-def _bend_equidistant(k: Floats, xy: Points) -> tuple[Points, Floats]:
+def _distort_equidistant(k: Floats, xy: Points) -> tuple[Points, Floats]:
     r = np.hypot(xy[:, 0], xy[:, 1])
     theta = np.arctan(r)
     t2 = theta * theta
-    bent_theta = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+    distorted_theta = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
     d_theta = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
-    # Near the axis both ratios are replaced by their limits: bent_theta / r = 1 + (k1 - 1/3) r^2 + O(r^4).
+    # Near the axis both ratios are replaced by their limits: distorted_theta / r = 1 + (k1 - 1/3) r^2 + O(r^4).
     near = r < 1e-6
     safe = np.where(near, 1.0, r)
-    scale = np.where(near, 1.0, bent_theta / safe)
+    scale = np.where(near, 1.0, distorted_theta / safe)
     slope = np.where(near, 2 * (k[0] - 1 / 3), (d_theta / (1 + r * r) - scale) / (safe * safe))
     jacobian = scale[:, None, None] * np.eye(2) + slope[:, None, None] * xy[:, :, None] * xy[:, None, :]
     return xy * scale[:, None], jacobian
@@ -277,22 +277,22 @@ def _equidistant_by_coefficients(xy: Points) -> Floats:
     return np.asarray(direction[:, :, None] * theta[:, None, None] ** np.array([3.0, 5.0, 7.0, 9.0]), np.float64)
 
 
-_BENT = {
-    DistortionModel.PLUMB_BOB: _bend_polynomial,
-    DistortionModel.RATIONAL_POLYNOMIAL: _bend_polynomial,
-    DistortionModel.THIN_PRISM: _bend_polynomial,
-    DistortionModel.TILTED: _bend_polynomial,
-    DistortionModel.EQUIDISTANT: _bend_equidistant,
+_DISTORTED = {
+    DistortionModel.PLUMB_BOB: _distort_polynomial,
+    DistortionModel.RATIONAL_POLYNOMIAL: _distort_polynomial,
+    DistortionModel.THIN_PRISM: _distort_polynomial,
+    DistortionModel.TILTED: _distort_polynomial,
+    DistortionModel.EQUIDISTANT: _distort_equidistant,
 }
 
 
-def _newton(model: DistortionModel, k: Floats, bent: Points, start: Points) -> tuple[Points, Mask]:
+def _newton(model: DistortionModel, k: Floats, distorted: Points, start: Points) -> tuple[Points, Mask]:
     xy = start
-    done = np.zeros(len(bent), bool)
-    scale = np.maximum(1.0, np.abs(bent).max(axis=1, initial=0.0))
+    done = np.zeros(len(distorted), bool)
+    scale = np.maximum(1.0, np.abs(distorted).max(axis=1, initial=0.0))
     for _ in range(_MAX_STEPS):
-        value, jacobian = _BENT[model](k, xy)
-        error = bent - value
+        value, jacobian = _DISTORTED[model](k, xy)
+        error = distorted - value
         determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
         # A point beyond the fold of the lens model (determinant <= 0) has no inverse.
         regular = (determinant > 1e-9) & np.isfinite(determinant)
@@ -304,22 +304,22 @@ def _newton(model: DistortionModel, k: Floats, bent: Points, start: Points) -> t
         # Half a radian a step at most keeps Newton on the branch that contains the axis.
         length = np.hypot(step[:, 0], step[:, 1])
         xy[active] += step * np.minimum(1.0, 0.5 / np.maximum(length, 0.5))[:, None]
-    xy[~done] = bent[~done]
+    xy[~done] = distorted[~done]
     return xy, done
 
 
-def _radial_inverse(model: DistortionModel, k: Floats, bent: Points) -> Points:
+def _radial_inverse(model: DistortionModel, k: Floats, distorted: Points) -> Points:
     """Invert the radial part alone, by bisection between the axis and the fold (or 89.9 degrees off the axis)."""
-    radius = np.hypot(bent[:, 0], bent[:, 1])
+    radius = np.hypot(distorted[:, 0], distorted[:, 1])
     # Bisected in the angle off the axis: finite where r is not.
-    low = np.zeros(len(bent))
-    high = np.full(len(bent), min(math.atan(fold_radius(model, k)) * (1 - 1e-6), math.radians(89.9)))
+    low = np.zeros(len(distorted))
+    high = np.full(len(distorted), min(math.atan(fold_radius(model, k)) * (1 - 1e-6), math.radians(89.9)))
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
-        along_x = np.column_stack((np.tan(middle), np.zeros(len(bent))))
-        below = _BENT[model](_without_tangential(model, k), along_x)[0][:, 0] < radius
+        along_x = np.column_stack((np.tan(middle), np.zeros(len(distorted))))
+        below = _DISTORTED[model](_without_tangential(model, k), along_x)[0][:, 0] < radius
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return bent * (np.tan(low) / np.where(radius > 0, radius, 1.0))[:, None]
+    return distorted * (np.tan(low) / np.where(radius > 0, radius, 1.0))[:, None]
 
 
 def _without_tangential(model: DistortionModel, k: Floats) -> Floats:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.arguments import as_integer
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Mask, Matrix3, Points, as_points, as_rows
-from imgu_ros.vision.camera.distortion import bend, unbend
+from imgu_ros.vision.camera.distortion import distort, undistort
 from imgu_ros.vision.camera.distortion_model import COEFFICIENTS, DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.projection import as_intrinsic_matrix
 
@@ -45,7 +45,7 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether any distortion coefficient differs from 0 (an equidistant lens always bends)."""
+        """Whether any distortion coefficient differs from 0 (an equidistant lens always distorts)."""
         return self.model is DistortionModel.EQUIDISTANT or bool(np.any(self.distortion))
 
     def project(self, points: ArrayLike) -> Points:
@@ -77,8 +77,8 @@ class Camera:
             d_xy[:, :, 2] = -xy / z[:, None]
             by_point = self.K[:2, :2] @ d_xy
             if self.is_distorted:
-                bent, d_bent = bend(self.model, self.distortion, xy)
-                xy, by_point = bent, self.K[:2, :2] @ d_bent @ d_xy
+                distorted, d_distorted = distort(self.model, self.distortion, xy)
+                xy, by_point = distorted, self.K[:2, :2] @ d_distorted @ d_xy
             pixels = xy @ self.K[:2, :2].T + self.K[:2, 2]
         return _finite(pixels, "points"), _finite(by_point, "points")
 
@@ -86,7 +86,7 @@ class Camera:
         """Map ideal normalised coordinates (x / z, y / z), (N, 2), to raw pixels, (N, 2)."""
         xy = as_points(normalized, "normalized")
         if self.is_distorted:
-            xy = bend(self.model, self.distortion, xy)[0]
+            xy = distort(self.model, self.distortion, xy)[0]
         with np.errstate(over="ignore", invalid="ignore"):
             return _finite(xy @ self.K[:2, :2].T + self.K[:2, 2], "normalized")
 
@@ -102,10 +102,10 @@ class Camera:
         normalized : (N, 2) x / z, y / z
         valid : (N,) False where the lens model has no inverse; such a row holds the distorted coordinates
         """
-        bent = self._normalized_pixels(as_points(pixels, "pixels"), "pixels")
+        distorted = self._normalized_pixels(as_points(pixels, "pixels"), "pixels")
         if not self.is_distorted:
-            return bent, np.ones(len(bent), bool)
-        return unbend(self.model, self.distortion, bent)
+            return distorted, np.ones(len(distorted), bool)
+        return undistort(self.model, self.distortion, distorted)
 
     def ideal_pixels(self, pixels: ArrayLike) -> tuple[Points, Mask]:
         """Map raw pixels to the pixels of a camera with the same K and no distortion; see `undistort`."""

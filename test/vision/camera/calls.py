@@ -16,7 +16,7 @@ from imgu_ros.vision.camera.camera_model import ProjectionModel, estimate_projec
 from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
 from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.decomposition import decompose_projection, rq
-from imgu_ros.vision.camera.distortion import bend, bend_with_derivatives, fold_radius, unbend
+from imgu_ros.vision.camera.distortion import distort, distort_with_derivatives, fold_radius, undistort
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
 from imgu_ros.vision.camera.euler import euler_angles, from_euler
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
@@ -160,9 +160,13 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     rigid_transforms: lambda rng: {"numbers": np.r_[shift(), quaternion(turn(rng)), shift(), quaternion(turn(rng))]},
     as_distortion_model: lambda rng: {"model": "plumb_bob"},
     as_coefficients: lambda rng: {"coefficients": lens(), "model": MODEL},
-    bend: lambda rng: {"model": MODEL, "coefficients": lens(), "xy": rng.uniform(-0.5, 0.5, (6, 2))},
-    bend_with_derivatives: lambda rng: {"model": MODEL, "coefficients": lens(), "xy": rng.uniform(-0.5, 0.5, (6, 2))},
-    unbend: lambda rng: {"model": MODEL, "coefficients": lens(), "bent": rng.uniform(-0.5, 0.5, (6, 2))},
+    distort: lambda rng: {"model": MODEL, "coefficients": lens(), "xy": rng.uniform(-0.5, 0.5, (6, 2))},
+    distort_with_derivatives: lambda rng: {
+        "model": MODEL,
+        "coefficients": lens(),
+        "xy": rng.uniform(-0.5, 0.5, (6, 2)),
+    },
+    undistort: lambda rng: {"model": MODEL, "coefficients": lens(), "distorted": rng.uniform(-0.5, 0.5, (6, 2))},
     fold_radius: lambda rng: {"model": MODEL, "coefficients": np.array([-0.5, 0, 0, 0, 0.01])},
     tilt_matrix: lambda rng: {"tau_x": 0.1, "tau_y": -0.05},
     tilt_derivatives: lambda rng: {"tau_x": 0.1, "tau_y": -0.05},

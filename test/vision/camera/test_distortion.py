@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from imgu_ros.errors import ShapeError
-from imgu_ros.vision.camera.distortion import bend, bend_with_derivatives, fold_radius, unbend
+from imgu_ros.vision.camera.distortion import distort, distort_with_derivatives, fold_radius, undistort
 from imgu_ros.vision.camera.distortion_model import COEFFICIENT_NAMES, COEFFICIENTS, DistortionModel
 from imgu_ros.vision.camera.intrinsics import make_camera
 
@@ -40,16 +40,16 @@ STRONG = [
 def test_derivatives_by_finite_differences(model: str) -> None:
     xy = np.concatenate((np.random.default_rng(0).uniform(-0.7, 0.7, (40, 2)), [[0, 0], [1e-9, 0]]))
     k = np.array(LENSES[model])
-    bent = bend_with_derivatives(model, k, xy)
-    assert_allclose(bent.xy, bend(model, k, xy)[0])
+    distorted = distort_with_derivatives(model, k, xy)
+    assert_allclose(distorted.xy, distort(model, k, xy)[0])
     for index in range(len(k)):
         step = np.eye(len(k))[index] * 1e-6
-        numeric = (bend(model, k + step, xy)[0] - bend(model, k - step, xy)[0]) / 2e-6
-        assert_allclose(bent.by_coefficients[:, :, index], numeric, atol=1e-9)
+        numeric = (distort(model, k + step, xy)[0] - distort(model, k - step, xy)[0]) / 2e-6
+        assert_allclose(distorted.by_coefficients[:, :, index], numeric, atol=1e-9)
     for axis in range(2):
         step = np.eye(2)[axis] * 1e-6
-        numeric = (bend(model, k, xy + step)[0] - bend(model, k, xy - step)[0]) / 2e-6
-        assert_allclose(bent.by_xy[:, :, axis], numeric, atol=1e-8)
+        numeric = (distort(model, k, xy + step)[0] - distort(model, k, xy - step)[0]) / 2e-6
+        assert_allclose(distorted.by_xy[:, :, axis], numeric, atol=1e-8)
 
 
 @pytest.mark.parametrize(("focal", "model", "k"), STRONG)
@@ -75,7 +75,7 @@ def test_every_ray_within_the_fold_comes_back(model: str, seed: int) -> None:
     fold = min(fold_radius(model, k), 3.0)
     angle, r = rng.uniform(-np.pi, np.pi, 50), rng.uniform(0, 0.97 * fold, 50)
     xy = np.column_stack((r * np.cos(angle), r * np.sin(angle)))
-    back, valid = unbend(model, k, bend(model, k, xy)[0])
+    back, valid = undistort(model, k, distort(model, k, xy)[0])
     assert valid.all()
     assert_allclose(back, xy, atol=1e-9)
 
@@ -89,8 +89,8 @@ def test_fold_is_where_the_radius_stops_growing(seed: int) -> None:
             k[2:4] = 0
         fold = fold_radius(model, k)
         theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 40_000)
-        bent = bend(model, k, np.column_stack((np.tan(theta), np.zeros_like(theta))))[0][:, 0]
-        falling = np.flatnonzero(np.diff(bent) <= 0)
+        distorted = distort(model, k, np.column_stack((np.tan(theta), np.zeros_like(theta))))[0][:, 0]
+        falling = np.flatnonzero(np.diff(distorted) <= 0)
         if falling.size:
             assert np.arctan(fold) == pytest.approx(theta[falling[0]], abs=1e-4)
         else:
@@ -101,23 +101,23 @@ def test_a_root_beyond_the_fold_is_no_inverse() -> None:
     # r (1 - 0.6 r^2 + 0.15 r^4) grows, falls, and grows again; what lies above its first top is reached far out only.
     k = (-0.6, 0.15, 0, 0, 0)
     fold = fold_radius("plumb_bob", k)
-    top = bend("plumb_bob", k, [[fold, 0.0]])[0][0, 0]
-    _, valid = unbend("plumb_bob", k, [[top * 0.99, 0], [top * 1.01, 0], [0, -top * 1.2], [3.0, 0]])
+    top = distort("plumb_bob", k, [[fold, 0.0]])[0][0, 0]
+    _, valid = undistort("plumb_bob", k, [[top * 0.99, 0], [top * 1.01, 0], [0, -top * 1.2], [3.0, 0]])
     assert valid.tolist() == [True, False, False, False]
 
 
 def test_newton_that_leaves_the_range_is_helped() -> None:
-    # From the bent point itself Newton would start beyond the fold.
+    # From the distorted point itself Newton would start beyond the fold.
     k = (-0.9, 0.0, 0.0, 0.0, 0.0)
     r = np.linspace(0.01, 0.99, 60) * fold_radius("plumb_bob", k)
-    bent = bend("plumb_bob", k, np.column_stack((r, np.zeros_like(r))))[0]
-    back, valid = unbend("plumb_bob", k, bent)
+    distorted = distort("plumb_bob", k, np.column_stack((r, np.zeros_like(r))))[0]
+    back, valid = undistort("plumb_bob", k, distorted)
     assert valid.all()
     assert_allclose(back[:, 0], r, atol=1e-9)
     # A pincushion so strong that the point lies far outside.
     k = (8.0, 4.0, 0.0, 0.0, 0.0)
     xy = np.array([[0.9, 0.3], [-1.2, 0.1]])
-    back, valid = unbend("plumb_bob", k, bend("plumb_bob", k, xy)[0])
+    back, valid = undistort("plumb_bob", k, distort("plumb_bob", k, xy)[0])
     assert valid.all()
     assert_allclose(back, xy, atol=1e-9)
 
@@ -133,41 +133,41 @@ def test_long_models_are_those_of_opencv(count: int) -> None:
         xy = rng.uniform(-0.7, 0.7, (100, 2))
         rays = np.column_stack((xy, np.ones(100)))
         expected, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), k)
-        bent = bend_with_derivatives(model, k, xy)
-        assert_allclose(bent.xy, expected[:, 0], atol=1e-14)
+        distorted = distort_with_derivatives(model, k, xy)
+        assert_allclose(distorted.xy, expected[:, 0], atol=1e-14)
         # OpenCV's columns: rvec, tvec, f, c, then the coefficients.
-        by_k = bent.by_coefficients[:, :, :count].reshape(200, -1)
+        by_k = distorted.by_coefficients[:, :, :count].reshape(200, -1)
         assert_allclose(by_k, jacobian[:, 10 : 10 + count], atol=1e-12)
         back = _undistorted(expected, k)
-        ours, valid = unbend(model, k, expected[:, 0])
+        ours, valid = undistort(model, k, expected[:, 0])
         assert valid.all()
         assert_allclose(ours, xy, atol=1e-10)
         assert_allclose(ours, back, atol=1e-6)
 
 
-def _undistorted(bent: np.ndarray, k: np.ndarray) -> np.ndarray:
+def _undistorted(distorted: np.ndarray, k: np.ndarray) -> np.ndarray:
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-14)
     if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-        return cv2.undistortPointsIter(bent, np.eye(3), k, np.eye(3), np.eye(3), criteria)[:, 0]
-    return cv2.undistortPoints(bent, np.eye(3), k, R=np.eye(3), P=np.eye(3), criteria=criteria)[:, 0]
+        return cv2.undistortPointsIter(distorted, np.eye(3), k, np.eye(3), np.eye(3), criteria)[:, 0]
+    return cv2.undistortPoints(distorted, np.eye(3), k, R=np.eye(3), P=np.eye(3), criteria=criteria)[:, 0]
 
 
 def test_a_tilted_sensor_sees_no_light_from_behind() -> None:
     k = np.zeros(14)
     k[12] = 1.2
-    xy, valid = unbend("tilted", k, [[0.1, 0.1], [0.0, 5.0], [0.0, -5.0]])
+    xy, valid = undistort("tilted", k, [[0.1, 0.1], [0.0, 5.0], [0.0, -5.0]])
     assert valid.tolist() in ([True, True, False], [True, False, True])
     assert np.isfinite(xy).all()
     with pytest.raises(ShapeError, match="faces the lens"):
-        bend("tilted", [*[0.0] * 12, 2.0, 0.0], [[0.0, 0.0]])
+        distort("tilted", [*[0.0] * 12, 2.0, 0.0], [[0.0, 0.0]])
 
 
 def test_names_and_bad_input() -> None:
     assert {model: len(names) for model, names in COEFFICIENT_NAMES.items()} == COEFFICIENTS
     with pytest.raises(ShapeError, match="at most 4"):
-        bend("equidistant", np.zeros(5), [[0, 0]])
+        distort("equidistant", np.zeros(5), [[0, 0]])
     with pytest.raises(ShapeError, match="plumb_bob, rational"):
-        bend("fisheye", np.zeros(5), [[0, 0]])
+        distort("fisheye", np.zeros(5), [[0, 0]])
     with pytest.raises(ShapeError, match="nearer the axis"):
-        bend("plumb_bob", (1, 1, 0, 0, 1), [[1e60, 0]])
-    assert unbend("plumb_bob", (0.1,), np.zeros((0, 2)))[0].shape == (0, 2)
+        distort("plumb_bob", (1, 1, 0, 0, 1), [[1e60, 0]])
+    assert undistort("plumb_bob", (0.1,), np.zeros((0, 2)))[0].shape == (0, 2)
