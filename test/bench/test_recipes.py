@@ -8,8 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+<<<<<<< HEAD
 from imgu_ros.bench.measuring import MeasurementPlan, measure
 from imgu_ros.bench.recipes import METHODS, Recipe, make_method
+=======
+from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING, make_method
+from imgu_ros.bench.measuring import Show, measure
+from imgu_ros.bench.recipes import Recipe
+>>>>>>> 5b4f38b (Tests: limits of errors near what is measured instead of five to thirty times above it)
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.conditions import PLAIN, condition_named
@@ -19,16 +25,16 @@ from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(("name", "most_px"), [(TRACKING, 0.05), (DETECTION, 0.05), (ORB, 2.0), (SIFT, 0.8)])
 @pytest.mark.parametrize("condition", ["plain", "plumb-bob", "equidistant"])
-def test_methods_find_the_target(name: str, condition: str) -> None:
+def test_methods_find_the_target(name: str, most_px: float, condition: str) -> None:
     trial = Trial(condition_named(condition), 640, 480, frames=2)
     targets = known_targets(trial)
     measured = measure(MeasurementPlan([make_method(name, targets)], trial_batches(trial), targets))
     for sample in measured.samples:
-        assert sample.corner_px is not None and sample.corner_px < 2.5
-        assert sample.rotation_deg is not None and sample.rotation_deg < 8
-        assert sample.translation_percent is not None and sample.translation_percent < 2
+        assert sample.corner_px is not None and sample.corner_px < most_px
+        assert sample.rotation_deg is not None and sample.rotation_deg < 1.6
+        assert sample.translation_percent is not None and sample.translation_percent < 0.4
 
 
 @pytest.mark.parametrize("pattern", BayerPattern)

@@ -52,7 +52,7 @@ def test_homography_pose_json_and_drawing(scene: Path, tmp_path: Path, capsys: p
     assert out.startswith("poster: detected")
     found = json.loads((tmp_path / "m.json").read_text())
     assert found["status"] == "detected"
-    assert corner_error(found["H"], H, TEMPLATE, SIZE) < 0.5
+    assert corner_error(found["H"], H, TEMPLATE, SIZE) < 0.04
     assert found["pose_status"] == "metric"
     assert np.linalg.norm(np.array(found["pose"]["position_m"]) - POSE.t) < 0.003
     assert len(found["matches"]["inlier"]) == found["n_matches"]
@@ -141,7 +141,7 @@ def test_a_photo_with_transparency_is_composed(scene: Path, tmp_path: Path, caps
         main(["match", str(scene / "poster.png"), str(tmp_path / "view.png"), "--json", str(tmp_path / "m.json")]) == 0
     )
     assert capsys.readouterr().err == f"imgu: warning: {tmp_path / 'view.png'}: transparent: composed on white\n"
-    assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.5
+    assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.04
 
 
 def test_parameters_give_the_camera_and_the_pattern_too(scene: Path, tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_what_an_image_cannot_be(
 def test_a_mosaic(scene: Path, tmp_path: Path) -> None:
     options = ["--pattern", "gbrg", "--json", str(tmp_path / "m.json")]
     assert main(["match", str(scene / "poster.png"), str(scene / "raw.png"), *options]) == 0
-    assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.5
+    assert corner_error(json.loads((tmp_path / "m.json").read_text())["H"], H, TEMPLATE, SIZE) < 0.1
 
 
 def psnr(picture: np.ndarray, truth: np.ndarray) -> float:

@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(153, 18, 67, {5: 1073, 4: 1085}),
-    "empty": Limit(3869, 49, 1661, {5: 24900, 4: 26231}),
+    "tracked": Limit(159, 22, 74, {5: 1089, 4: 1101}),
+    "empty": Limit(3875, 51, 1670, {5: 24921, 4: 26252}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

@@ -32,6 +32,6 @@ def test_every_method_finds_every_frame(
         homography = result.first.homography
         assert homography is not None, result.first.reason
         size = result.developed.grey.shape[1::-1]
-        assert corner_error(homography.H, simulated.truths[0].H, targets[0].size, size, None) < 0.3
+        assert corner_error(homography.H, simulated.truths[0].H, targets[0].size, size, None) < 0.025
         color = demosaic(frame.image.pixels, frame.image.layout.pattern, method)
         np.testing.assert_array_equal(result.developed.color(), color)

@@ -28,7 +28,7 @@ def test_the_target_is_found_with_every_detector(choice, target_images, one_targ
         (found,) = result
         assert found.homography is not None, found.reason
         size = result.developed.grey.shape[1::-1]
-        assert corner_error(found.homography.H, simulated.truths[0].H, targets[0].size, size) < 0.3
+        assert corner_error(found.homography.H, simulated.truths[0].H, targets[0].size, size) < 0.025
 
 
 def test_the_arc_reaches_the_detector(target_images):

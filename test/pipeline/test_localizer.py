@@ -21,7 +21,6 @@ from imgu_ros.result import PoseStatus, Result, Stage, Status
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_camera, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.vision.camera.intrinsics import make_camera
-from imgu_ros.vision.camera.rotation import log_so3
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 
@@ -44,47 +43,26 @@ def errors(frames: Frames, results: list[Result], targets: Targets) -> list[floa
 
 
 @pytest.mark.parametrize("tracking", [True, False])
-def test_every_frame_is_found_to_a_tenth_of_a_pixel(
-    one_target_frames: Frames, targets: Targets, tracking: bool
-) -> None:
+def test_every_frame_is_found(one_target_frames: Frames, targets: Targets, tracking: bool) -> None:
+    """How exactly: test/guards."""
     chain = Localizer(parameters_from({"tracking.enabled": tracking}), targets[:1])
     results = [chain.process(f.frame) for f in one_target_frames]
     expected = [Status.DETECTED] + [Status.TRACKED if tracking else Status.DETECTED] * 11
     assert [r.first.status for r in results] == expected
-    assert np.median(errors(one_target_frames, results, targets)) < 0.1
-    assert max(errors(one_target_frames, results, targets)) < 0.3
-    for simulated, result in zip(one_target_frames, results, strict=True):
-        pose = result.first.pose
-        truth = simulated.truths[0].pose
-        assert pose is not None
-        assert np.linalg.norm(pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
-        assert np.degrees(np.linalg.norm(log_so3(truth.R @ pose.R.T))) < 0.3
 
 
 def test_detection_without_refinement_is_already_good(one_target_frames: Frames, targets: Targets) -> None:
     chain = Localizer(parameters_from({"tracking.enabled": False, "refinement.enabled": False}), targets[:1])
     results = [chain.process(f.frame) for f in one_target_frames]
-    assert np.median(errors(one_target_frames, results, targets)) < 1.0
+    assert np.median(errors(one_target_frames, results, targets)) < 0.65
     assert all(Stage.REFINE not in r.times_ns for r in results)
-
-
-def test_covariance_agrees_with_the_errors(target_images: tuple[TargetImage, ...], targets: Targets) -> None:
-    """Normalised squared errors of the 6-D pose are 6 on average."""
-    chain = Localizer(parameters_from({"tracking.enabled": False}), targets[:1])
-    squared = []
-    # The whole motion in few frames: their errors have little to do with each other.
-    for simulated in simulate_sequence(Simulation(width=640, height=480, frames=20, seed=3), target_images[:1]):
-        pose, truth = chain.process(simulated.frame).first.pose, simulated.truths[0].pose
-        d = np.r_[truth.t - pose.t, log_so3(truth.R @ pose.R.T)]
-        squared.append(d @ np.linalg.solve(pose.covariance, d))
-    assert 3.5 < np.mean(squared) < 9
 
 
 def test_several_targets(two_target_frames: Frames, targets: Targets) -> None:
     chain = Localizer(parameters_from({}), targets)
     results = [chain.process(f.frame) for f in two_target_frames]
     assert all([t.name for t in r] == [t.name for t in targets] for r in results)
-    assert max(errors(two_target_frames, results, targets)) < 0.5
+    assert max(errors(two_target_frames, results, targets)) < 0.06
 
 
 @pytest.mark.parametrize("pattern", list(BayerPattern))
@@ -97,7 +75,7 @@ def test_every_bayer_phase(
         simulate_sequence(Simulation(width=640, height=480, frames=2, seed=3, layout=layout), target_images[:1])
     )
     chain = Localizer(parameters_from({"demosaic.method": method}), targets[:1])
-    assert max(errors(frames, [chain.process(f.frame) for f in frames], targets)) < 0.3
+    assert max(errors(frames, [chain.process(f.frame) for f in frames], targets)) < 0.025
 
 
 @pytest.mark.parametrize(
@@ -110,10 +88,10 @@ def test_lenses_are_respected(target_images: tuple[TargetImage, ...], targets: T
     )
     chain = Localizer(parameters_from({}), targets[:1])
     results = [chain.process(f.frame) for f in frames]
-    assert max(errors(frames, results, targets)) < 0.3
+    assert max(errors(frames, results, targets)) < 0.025
     for simulated, result in zip(frames, results, strict=True):
         truth = simulated.truths[0].pose
-        assert np.linalg.norm(result.first.pose.t - truth.t) < 1e-3 * np.linalg.norm(truth.t)
+        assert np.linalg.norm(result.first.pose.t - truth.t) < 2e-4 * np.linalg.norm(truth.t)
 
 
 def test_same_frames_same_numbers(one_target_frames: Frames, targets: Targets) -> None:
@@ -167,7 +145,7 @@ def test_a_jump_is_detected_again_in_the_same_frame(one_target_frames: Frames, t
     chain.process(one_target_frames[0].frame)
     result = chain.process(one_target_frames[11].frame)
     assert result.first.status.found
-    assert errors(one_target_frames[11:], [result], targets)[0] < 0.3
+    assert errors(one_target_frames[11:], [result], targets)[0] < 0.05
 
 
 def test_uncalibrated_and_unsized(
@@ -255,7 +233,7 @@ def test_frames_without_stamps_are_tracked(one_target_frames: Frames, targets: T
         assert result.status is (Status.TRACKED if index else Status.DETECTED)
         assert expected.homography is not None and result.homography is not None
         size = simulated.frame.image.pixels.shape[1::-1]
-        assert corner_error(result.homography.H, expected.homography.H, targets[0].size, size) < 0.1
+        assert corner_error(result.homography.H, expected.homography.H, targets[0].size, size) < 0.01
 
 
 def test_one_frame_without_a_stamp_costs_no_track(one_target_frames: Frames, targets: Targets) -> None:
@@ -281,7 +259,7 @@ def test_a_print_is_compared_as_the_sensor_sees_it() -> None:
         median[transfer] = np.median(errors(tuple(frames), results, targets))
     # By how much depends on how exactly OpenCV interpolates: by a third with 5.0, by a twentieth with 4.6.
     assert median["auto"] == median["linear"] < 0.98 * median["srgb"]
-    assert median["srgb"] < 0.1
+    assert median["srgb"] < 0.045
 
 
 def test_two_cameras_in_turn_are_each_tracked(one_target_frames: Frames, targets: Targets) -> None:

@@ -104,7 +104,7 @@ def test_the_target_is_found_with_each_change(
         assert found is not None, result.first.reason
         size = result.developed.grey.shape[1::-1]
         # Alignment works on the picture as it was: it is as precise as ever.
-        assert corner_error(found.H, simulated.truths[0].H, targets[0].size, size, None) < 0.3
+        assert corner_error(found.H, simulated.truths[0].H, targets[0].size, size, None) < 0.04
 
 
 def test_alignment_and_published_pictures_are_untouched(

@@ -60,7 +60,7 @@ def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], t
     track = track_of(Observation(first.truths[0].H, first.frame.stamp_ns))
     for frame in one_target_frames[1:]:
         found = followed(frame, target, track)
-        assert corner_error(found.homography.H, frame.truths[0].H, target.size, SIZE) < 0.3
+        assert corner_error(found.homography.H, frame.truths[0].H, target.size, SIZE) < 0.05
         place = located(found)
         assert place.homography is found.homography and place.condensed is found.normal_equations
         assert len(place.template_xy) == len(place.image_xy) == np.count_nonzero(found.homography.inliers)
@@ -79,7 +79,7 @@ def test_a_jump_is_caught_up_with(
     before = Observation(was.H, stamp - 2 * SECOND)
     for track in (track_of(was), track_of(was, before, errors_px=[0.1, 0.1])):
         found = followed(frame, target, track)
-        assert corner_error(found.homography.H, H, target.size, SIZE) < 0.1
+        assert corner_error(found.homography.H, H, target.size, SIZE) < 0.02
 
 
 @pytest.mark.parametrize("degrees", [4.0, -4.0])
@@ -94,7 +94,7 @@ def test_a_sudden_roll_is_caught_up_with(
     roll = about @ [[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] @ np.linalg.inv(about)
     track = track_of(Observation(normalised_homography(roll @ H), frame.frame.stamp_ns - SECOND))
     found = followed(frame, target, track)
-    assert corner_error(found.homography.H, H, target.size, SIZE) < 0.1
+    assert corner_error(found.homography.H, H, target.size, SIZE) < 0.02
 
 
 def test_where_a_wrong_motion_led_away_the_target_is_found_where_it_was(
@@ -105,7 +105,7 @@ def test_where_a_wrong_motion_led_away_the_target_is_found_where_it_was(
     was, before = Observation(shifted(H, 2, 1), stamp - SECOND), Observation(shifted(H, 152, 1), stamp - 2 * SECOND)
     track = track_of(was, before, errors_px=[150.0, 3.0])
     found = followed(frame, target, track)
-    assert corner_error(found.homography.H, H, target.size, SIZE) < 0.1
+    assert corner_error(found.homography.H, H, target.size, SIZE) < 0.02
 
 
 def test_a_track_does_not_hold_on_anything_else(
@@ -160,7 +160,7 @@ def test_an_exact_prediction_needs_no_second_try(
         reaches.clear()
 
 
-@pytest.mark.parametrize(("condition", "most_px"), [("rolling-shutter", 1.5), ("blur-5", 0.2), ("defocus-4", 0.2)])
+@pytest.mark.parametrize(("condition", "most_px"), [("rolling-shutter", 0.55), ("blur-5", 0.05), ("defocus-4", 0.05)])
 def test_a_covariance_is_not_much_too_small_where_the_frame_is_not_as_assumed(condition: str, most_px: float) -> None:
     """A rolling shutter bends what is seen, blur is not in the target's picture: both make errors beyond noise."""
     trial = Trial(condition_named(condition), 640, 480, 24)
@@ -179,4 +179,4 @@ def test_a_covariance_is_not_much_too_small_where_the_frame_is_not_as_assumed(co
     assert len(squared) >= 20
     assert np.median(errors_px) < most_px
     # 5.35 is exact.
-    assert np.median(squared) < 4 * 5.35
+    assert np.median(squared) < 2 * 5.35

@@ -115,7 +115,7 @@ def test_every_frame_is_found_and_near_the_truth(bag: Path, clean: Path) -> None
     for row, truth in zip(got, read_truth(bag / "truth.csv"), strict=True):
         H = np.array([float(row[f"h{i}{j}"]) for i in "123" for j in "123"]).reshape(3, 3)
         assert row["status"] in ("detected", "tracked")
-        assert corner_error(H, truth.H, TEMPLATE, SIZE) < 0.5
+        assert corner_error(H, truth.H, TEMPLATE, SIZE) < 0.07
         assert np.linalg.norm(H) == pytest.approx(1, abs=1e-12)
         assert float(row["qw"]) >= 0
 
@@ -174,9 +174,9 @@ def test_summary(clean: Path) -> None:
     target = summary["targets"][0]
     assert (summary["frames"], summary["rejected"], target["found"]) == (FRAMES, 0, FRAMES)
     assert target["status"]["detected"] + target["status"]["tracked"] == FRAMES
-    assert 0 < target["corner_error_px"]["p50"] <= target["corner_error_px"]["p95"] < 0.5
-    assert target["rotation_error_deg"]["p50"] < 0.5
-    assert target["translation_error_percent"]["p50"] < 0.5
+    assert 0 < target["corner_error_px"]["p50"] <= target["corner_error_px"]["p95"] < 0.07
+    assert target["rotation_error_deg"]["p50"] < 0.05
+    assert target["translation_error_percent"]["p50"] < 0.02
     assert summary["rate_in_hz"] == pytest.approx(15, rel=1e-6)
     assert set(summary["stage_ms"]) <= {stage.value for stage in Stage}
     assert summary["parameters"]["targets.names"] == ["poster"]
