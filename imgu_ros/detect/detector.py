@@ -46,7 +46,7 @@ class Detector(Protocol):
     def detect(
         self, context: FrameContext, missing: Sequence[Any], covered: Sequence[Points], thorough: bool
     ) -> Iterator[ReferenceResult]:
-        """Yield the results of the missing references that were looked for; others are not in view.
+        """Yield the results of the missing references that were searched for; others are not in view.
 
         Parameters
         ----------

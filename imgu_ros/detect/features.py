@@ -31,7 +31,7 @@ class Features:
 
     @property
     def unit_px(self) -> float:
-        """Raw px in a pixel of the picture that keypoints were sought in."""
+        """Raw px in a pixel of the image in which keypoints were detected."""
         return self.pyramid.levels[0].scale
 
 
@@ -42,7 +42,7 @@ def find_features(
 
     Parameters
     ----------
-    pictures : the frame's
+    images : the frame's
     parameters : all parameters; for a thorough search those of `thorough_parameters`
     extractor : the one that the parameters choose, see `extractor_options`
     clock : takes the time of the stages
@@ -53,7 +53,7 @@ def find_features(
 
 
 def frame_pyramid(base: Reduced, parameters: Parameters) -> Pyramid:
-    """Build the pyramid that keypoints are sought in."""
+    """Build the pyramid in which keypoints are detected."""
     p = parameters.pyramid
     pyramid = build_pyramid(
         base.image,
@@ -83,7 +83,7 @@ def extracted_features(pyramid: Pyramid, extractor: FeatureExtractor, max_count:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """A picture, and width and height of the part of the frame that it shows, px."""
+    """An image, and width and height of the part of the frame that it shows, px."""
 
     image: Image
     full_size: Points
@@ -91,12 +91,12 @@ class Reduced:
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """How a frame is reduced before keypoints are sought.
+    """How a frame is reduced before keypoints are detected.
 
     Attributes
     ----------
     halvings : by the mean of four pixels each, as often as possible
-    width, height : of the reduced picture, px
+    width, height : of the reduced image, px
     full_width, full_height : of the part of the frame that it shows, px
     """
 
@@ -108,7 +108,7 @@ class Reduction:
 
     @property
     def unit_px(self) -> float:
-        """Raw px in a pixel of the reduced picture."""
+        """Raw px in a pixel of the reduced image."""
         return math.sqrt(self.full_width / self.width * (self.full_height / self.height))
 
 
@@ -127,7 +127,7 @@ def reduction_of(shape: tuple[int, int], parameters: Parameters) -> Reduction:
 
 
 def reduced_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
-    """Return the picture in which keypoints are sought: straight from the mosaic where it is small and as it came."""
+    """Return the image in which keypoints are detected: straight from the mosaic where it is small and as it came."""
     p = parameters.pyramid
     reduction = reduction_of(pictures.shape, parameters)
     full_size = np.array((reduction.full_width, reduction.full_height))
@@ -143,7 +143,7 @@ def reduced_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
 
 
 def plain_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
-    """Return the picture from which `reduced_picture` can be made elsewhere: the same, or all of a frame's pixels.
+    """Return the image from which `reduced_picture` can be made elsewhere: the same, or all of a frame's pixels.
 
     Steps of `preprocess` come before the reduction, and are left to whoever makes the pyramid.
     """

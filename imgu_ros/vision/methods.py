@@ -205,7 +205,7 @@ def estimator_names() -> tuple[str, ...]:
 
 
 def register_detector(row: DetectorMethod) -> None:
-    """Add a detector; see `register_descriptor` for one that describes, too.
+    """Add the `row` of a detector; see `register_descriptor` for one that describes, too.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def register_detector(row: DetectorMethod) -> None:
 
 
 def register_descriptor(row: DescriptorMethod) -> None:
-    """Add a descriptor.
+    """Add the `row` of a descriptor.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def register_descriptor(row: DescriptorMethod) -> None:
 
 
 def register_estimator(row: EstimatorMethod) -> None:
-    """Add a robust estimator of homographies.
+    """Add the `row` of a robust estimator of homographies.
 
     Raises
     ------
@@ -241,12 +241,17 @@ Row = TypeVar("Row", bound=Method)
 
 
 def method_named(table: Mapping[str, Row], name: object, what: str) -> Row:
-    """Return the row of a name; `what` is what the error calls it.
+    """Return the row of a `name` in a `table`; `what` is what the error calls it.
 
     Raises
     ------
     ShapeError
         If there is none; the message lists those that there are.
+
+    Examples
+    --------
+    >>> method_named(DETECTORS, "dog", "detector").finds_every_scale
+    True
     """
     row = table.get(name) if isinstance(name, str) else None
     if row is None:

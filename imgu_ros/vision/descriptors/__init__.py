@@ -2,7 +2,7 @@
 """What a keypoint looks like, as a row of bits or numbers that another view of it resembles.
 
 `describe` takes the keypoints of any detector and describes each on the level of the pyramid that fits its scale;
-`descriptor.kind` chooses the kind in the chain:
+`descriptor.kind` chooses the kind in the pipeline:
 
 | kind | a row | turns with the keypoint | scales with it | use it |
 |---|---|---|---|---|
@@ -17,12 +17,12 @@ of gradient directions: an offset drops out in the derivatives and a gain by nor
 metric chooses what to forget (see the page on matching).
 
 The orientation is the detector's: of the intensity centroid for corners, of the gradient histogram for `dog`.
-Keypoints whose patch reaches beyond the picture are left out by `orb`, `brief` and `patch`; SIFT's window may.
+Keypoints whose patch reaches beyond the image are left out by `orb`, `brief` and `patch`; SIFT's window may.
 
-Single pictures are described by `describe_orb`, `describe_brief`, `describe_sift`, `describe_rootsift` and
-`describe_patch`; `sample_patches` samples turned and scaled squares of a picture.
+Single images are described by `describe_orb`, `describe_brief`, `describe_sift`, `describe_rootsift` and
+`describe_patch`; `sample_patches` samples turned and scaled squares of an image.
 
-Parameters: `descriptor.kind`. Notes: 4.2.4, 5.1, 5.2, 5.4, 5.5.
+Parameters: `descriptor.kind`. Sources: IU 4.2.4, 5.1, 5.2, 5.4, 5.5; the papers are named with each descriptor.
 """
 
 from imgu_ros.vision.descriptors.brief import brief_pairs, describe_brief

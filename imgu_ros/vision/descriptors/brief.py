@@ -22,15 +22,15 @@ BITS = 256
 #: Comparing single pixels compares their noise (Calonder 2010, section 3.1).
 _SMOOTHING_PX = 2.0
 _SMOOTHING_KERNEL = (9, 9)
-#: Pairs that the published binaries of a chain compare: descriptors of different seeds do not compare.
+#: Descriptors of different seeds cannot be compared.
 _SEED = 0
 _MOST_PAIRS = 2**16
 
 
 def describe_brief(image: Image, corners: Corners, seed: int = _SEED) -> Described:
-    """Describe corners of one picture by 32 bytes each; their angles and scales are not used.
+    """Describe corners of one image by 32 bytes each; their angles and scales are not used.
 
-    Bit k is set where the smoothed picture is darker at the first place of pair k than at the second.
+    Bit k is set where the smoothed image is darker at the first place of pair k than at the second.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def describe_brief(image: Image, corners: Corners, seed: int = _SEED) -> Describ
     Raises
     ------
     ShapeError
-        If the picture or a corner is not of that kind.
+        If the image or a corner is not of that kind.
 
     Examples
     --------
     >>> import numpy as np
-    >>> picture = np.random.default_rng(0).integers(0, 256, (60, 60), np.uint8)
+    >>> image = np.random.default_rng(0).integers(0, 256, (60, 60), np.uint8)
     >>> one = np.ones(1)
-    >>> described = describe_brief(picture, Corners(np.array([[30.0, 30.0]]), one, 0 * one, one))
+    >>> described = describe_brief(image, Corners(np.array([[30.0, 30.0]]), one, 0 * one, one))
     >>> described.descriptors.shape
     (1, 32)
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a descriptor returns for one picture."""
+"""What a descriptor returns for one image."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from imgu_ros.vision.keypoints.opencv import require_describable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """Descriptors of some of the corners of one picture.
+    """Descriptors of some of the corners of one image.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from imgu_ros.vision.keypoints.orb import PATCH_PX
 
 
 def describe_orb(image: Image, corners: Corners) -> Described:
-    """Describe corners of one picture by 32 bytes each, rotated by their angles.
+    """Describe corners of one image by 32 bytes each, rotated by their angles.
 
     Parameters
     ----------
@@ -24,14 +24,14 @@ def describe_orb(image: Image, corners: Corners) -> Described:
     Raises
     ------
     ShapeError
-        If the picture or a corner is not of that kind.
+        If the image or a corner is not of that kind.
 
     Examples
     --------
     >>> import numpy as np
-    >>> picture = np.random.default_rng(0).integers(0, 256, (60, 60), np.uint8)
+    >>> image = np.random.default_rng(0).integers(0, 256, (60, 60), np.uint8)
     >>> one, xy = np.ones(2), np.array([[30.0, 30.0], [5.0, 30.0]])
-    >>> describe_orb(picture, Corners(xy, one, 0 * one, one)).index.tolist()
+    >>> describe_orb(image, Corners(xy, one, 0 * one, one)).index.tolist()
     [0]
     """
     image = as_image(image, dtypes=(np.uint8,))

@@ -17,9 +17,9 @@ from imgu_ros.vision.keypoints.keypoints import Corners
 SIDE = 13
 #: Between neighbouring samples, in sigmas of the structure: the patch is 22 sigma wide, like ORB's.
 STEP_PER_SIGMA = 1.75
-#: Share of the step by which a picture is smoothed before it is sampled so sparsely.
+#: Share of the step by which an image is smoothed before it is sampled so sparsely.
 _SMOOTHING_PER_STEP = 0.5
-#: Steps of sigma, in octaves, for which one smoothed picture serves.
+#: Steps of sigma, in octaves, for which one smoothed image serves.
 _SMOOTHINGS_PER_OCTAVE = 2
 _LARGEST_SMOOTHING_PX = 64.0
 #: Samples taken at once: bounds the memory.
@@ -29,9 +29,9 @@ _LARGEST_SIDE = 256
 
 
 def describe_patch(image: Image, corners: Corners) -> Described:
-    """Describe corners of one picture by 169 samples each, 0 to 255, row by row of a turned and scaled square.
+    """Describe corners of one image by 169 samples each, 0 to 255, row by row of a turned and scaled square.
 
-    To be compared by SSD, zero-mean SSD or NCC. The picture is smoothed according to the distance of the samples.
+    To be compared by SSD, zero-mean SSD or NCC. The image is smoothed according to the distance of the samples.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def describe_patch(image: Image, corners: Corners) -> Described:
     Raises
     ------
     ShapeError
-        If the picture or a corner is not of that kind.
+        If the image or a corner is not of that kind.
 
     Examples
     --------
@@ -69,19 +69,19 @@ def describe_patch(image: Image, corners: Corners) -> Described:
 
 
 def sample_patches(image: Image, xy: Points, step_px: Floats, angle: Floats, side: int) -> NDArray[np.float32]:
-    """Sample turned and scaled squares of a picture, bilinearly.
+    """Sample turned and scaled squares of an image, bilinearly.
 
     Parameters
     ----------
     image : (H, W) uint8, uint16 or float32; beyond its border its outermost pixels go on
     xy : (N, 2) px, the squares' centres
     step_px : (N,) px between neighbouring samples, > 0
-    angle : (N,) rad, from the picture's x axis to the squares', from x towards y
+    angle : (N,) rad, from the image's x axis to the squares', from x towards y
     side : samples along a side, 1 to 256
 
     Returns
     -------
-    (N, side, side) float32, in the picture's units
+    (N, side, side) float32, in the image's units
 
     Raises
     ------
@@ -91,9 +91,9 @@ def sample_patches(image: Image, xy: Points, step_px: Floats, angle: Floats, sid
     Examples
     --------
     >>> import numpy as np
-    >>> picture = np.array([[0, 10], [20, 30]], np.uint8)
+    >>> image = np.array([[0, 10], [20, 30]], np.uint8)
     >>> centre, one = np.array([[0.5, 0.5]]), np.ones(1)
-    >>> sample_patches(picture, centre, one, 0 * one, 2).tolist()
+    >>> sample_patches(image, centre, one, 0 * one, 2).tolist()
     [[[0.0, 10.0], [20.0, 30.0]]]
     """
     side = as_integer(side, "side")
@@ -131,7 +131,7 @@ def _bilinear(image: Image, x: Floats, y: Floats) -> NDArray[np.float32]:
 
 
 def _is_inside(image: Image, xy: Points, step: Floats, angle: Floats, side: int) -> NDArray[np.bool_]:
-    """Return which squares lie inside the picture, to the last sample."""
+    """Return which squares lie inside the image, to the last sample."""
     reach = (side - 1) / 2 * step * (np.abs(np.cos(angle)) + np.abs(np.sin(angle)))
     limit = np.array(image.shape[1::-1]) - 1
     return np.asarray(np.minimum(xy, limit - xy).min(axis=1, initial=np.inf) >= reach)

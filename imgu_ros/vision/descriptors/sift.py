@@ -17,7 +17,7 @@ _SMALLEST_DIAGONAL_PX = 5.0
 
 
 def describe_sift(image: Image, corners: Corners) -> Described:
-    """Describe corners of one picture by 128 numbers each, 0 to 255, of Euclidean norm about 512.
+    """Describe corners of one image by 128 numbers each, 0 to 255, of Euclidean norm about 512.
 
     Parameters
     ----------
@@ -27,16 +27,16 @@ def describe_sift(image: Image, corners: Corners) -> Described:
     Raises
     ------
     ShapeError
-        If a corner's scale is below half a pixel. On a picture too small for any window nothing is described.
+        If a corner's scale is below half a pixel. On an image too small for any window nothing is described.
 
     Examples
     --------
     A step has one gradient direction: after clipping few of the 128 bins hold all.
 
     >>> import numpy as np
-    >>> picture = np.repeat(np.array([[40, 200]], np.uint8), 40, axis=1).repeat(80, axis=0)
+    >>> image = np.repeat(np.array([[40, 200]], np.uint8), 40, axis=1).repeat(80, axis=0)
     >>> one = np.ones(1)
-    >>> row = describe_sift(picture, Corners(np.array([[39.5, 40.0]]), 2 * one, 0 * one, one)).descriptors
+    >>> row = describe_sift(image, Corners(np.array([[39.5, 40.0]]), 2 * one, 0 * one, one)).descriptors
     >>> row.shape, int((row > 100).sum())
     ((1, 128), 8)
     """

@@ -30,9 +30,9 @@ share of inliers among the best: often within its first 16 samples where uniform
 
 Robust losses: `huber` (convex), `cauchy`, `tukey` (an outlier loses all weight; needs a good start).
 
-In the chain: `homography.sampler`, `homography.score`, `homography.threshold_px`, `homography.confidence`,
+In the pipeline: `homography.sampler`, `homography.score`, `homography.threshold_px`, `homography.confidence`,
 `homography.max_iterations`, `homography.min_inliers`, `homography.error`, `homography.refine`.
-Notes: 7.1 to 7.3 and 7.5, 7.6; Hartley & Zisserman 2004, chapters 4 and 5, appendices 5 and 6.
+Sources: IU 7.1 to 7.3, 7.5, 7.6; Hartley & Zisserman 2004, chapters 4 and 5, appendices 5 and 6.
 """
 
 from imgu_ros.vision.estimation.chance import Agreement, ChanceModel, binomial_tail, pair_probability, shares_of_places

@@ -40,7 +40,7 @@ _MOST_MAPPED = 256
 _DOUBLINGS = 64
 #: Squares of larger numbers, summed, overflow.
 _LARGEST = 1e100
-#: More data than this are no matches of two pictures.
+#: More data than this are no matches of two images.
 _MOST_TRIALS = 1_000_000
 
 
@@ -50,7 +50,7 @@ class ChanceModel(Protocol):
 
     @property
     def codimension(self) -> int:
-        """Coordinates of an error: 2 for a distance between points of a picture, 1 for one from a line."""
+        """Coordinates of an error: 2 for a distance between points of an image, 1 for one from a line."""
 
     def shares(self, threshold: float) -> Floats:
         """Return what each datum counts, (N,): 1 for one alone, 1/n for n that lie within the threshold.
@@ -192,7 +192,7 @@ def pair_probability(mapped: Floats, measured: Floats, threshold: float) -> floa
     within = np.searchsorted(np.sort(squared, axis=None), limits, side="right")
     pairs = len(few) * (count - 1)
     enough = int(np.argmax(within >= min(_ENOUGH_PAIRS, pairs)))
-    # Beyond all circles only where some pairs are further than any picture: then those that are near tell it.
+    # Beyond all circles only where some pairs are further than any image: then those that are near tell it.
     return float(max(within[enough], 1) / pairs / limits[enough])
 
 

@@ -21,7 +21,7 @@ _NARROWEST = 1e-6
 def align_directions(src: ArrayLike, dst: ArrayLike, weights: ArrayLike | None = None) -> Matrix3:
     """Return the rotation R with dst ~ R src that minimises the sum of squared chords between unit vectors.
 
-    Kabsch's solution: the proper rotation nearest to the sum of the dyads dst src^T. Viewing rays of two pictures
+    Kabsch's solution: the proper rotation nearest to the sum of the dyads dst src^T. Viewing rays of two images
     taken from one place are such directions.
 
     Parameters

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nonlinear least squares: steepest descent, Gauss-Newton and Levenberg-Marquardt on one contract.
 
-Notes 7.3.2 to 7.3.5; HZ appendix 6.
+IU 7.3.2 to 7.3.5; HZ appendix 6.
 """
 
 from __future__ import annotations

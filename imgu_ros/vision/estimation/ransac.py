@@ -66,9 +66,9 @@ def ransac(
     sampler : uniform, or prosac when the points are sorted best first
     score : what is minimised
     confidence : stop when a better sample than the best would have been drawn with this probability
-    max_iterations : most samples; with the biweight score most hypotheses: samples that give none are drawn again,
-        up to ten times as many in all
-    min_inliers : fewest inliers of an answer; at least sample_size + 1 are asked for
+    max_iterations : maximum number of samples; with the biweight score, of hypotheses: samples that give none are drawn
+        again, up to ten times as many in all
+    min_inliers : minimum number of inliers of an answer, raised to sample_size + 1
     max_by_chance : most hypotheses as good as the answer that wrong data may be expected to give, of a model that can
         tell (`ChanceModel`); inf: chance is not asked
     unit : of the threshold, for the message of NoConsensus
@@ -140,7 +140,10 @@ def accepted(
 ) -> Consensus:
     """Return the best of proposed hypotheses, as it is, when `ransac` would accept it as its answer.
 
-    The parameters, and what is raised, are those of `ransac`.
+    Parameters
+    ----------
+    model, threshold, min_inliers, max_by_chance, unit : as in `ransac`, which raises the same errors
+    proposal : the hypotheses
     """
     require_type(proposal, Proposal, "proposal")
     search = _search(model, threshold, Score.TRUNCATED)

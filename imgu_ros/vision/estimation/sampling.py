@@ -36,7 +36,7 @@ def draw_samples(
     count : number of points N
     sample_size : points in a sample m
     rng : source of the draws, or its seed
-    largest_batch : most samples drawn at once
+    largest_batch : maximum number of samples drawn at once
 
     Yields
     ------

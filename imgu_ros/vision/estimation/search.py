@@ -42,7 +42,7 @@ class RobustModel(Protocol):
 
     @property
     def sample_size(self) -> int:
-        """Fewest points that determine the model."""
+        """Minimum number of points that determine the model."""
 
     def generate(self, samples: Indices) -> Floats:
         """Return the hypotheses, (B', ...), of samples (B, m); degenerate samples give none, so B' may differ."""

@@ -2,7 +2,7 @@
 """Keypoints: places that are found again in another view.
 
 `detect` finds them on every level of a pyramid with any of six detectors; all give position, scale, orientation and
-response, so that every descriptor of the chain can follow.
+response, so that every descriptor of the pipeline can follow.
 
 | detector | finds | sub-pixel | scales | when to use it |
 |---|---|---|---|---|
@@ -16,7 +16,7 @@ response, so that every descriptor of the chain can follow.
 Reached by `keypoints.detector`, `keypoints.max_count` and `keypoints.fast_arc`.
 
 Every detector looks at all that it finds, then `spread` keeps the strongest half of the wanted number (`dog`: two
-thirds) wherever it lies and takes the others cell by cell from a grid, so that one busy corner of the picture does not
+thirds) wherever it lies and takes the others cell by cell from a grid, so that one busy corner of the image does not
 get them all. (`orb` spreads its strongest 2 `max_count`, as OpenCV stops there.) Orientation is the direction to the
 intensity centroid (`centroid_orientation`; for regions of any size `scaled_orientation`), for `dog` the peaks of the
 histogram of gradient directions (`dominant_orientations`).
@@ -24,7 +24,7 @@ histogram of gradient directions (`dominant_orientations`).
 How often keypoints are found again: `repeatability`; measured beside OpenCV's own detectors, with time and memory:
 `docs/repeatability.md`.
 
-Notes 4.2.1 to 4.2.4 and 4.3.1; Harris & Stephens 1988, Moravec 1980, Rosten & Drummond 2006, Lowe 2004, Matas et al.
+IU 4.2.1 to 4.2.4 and 4.3.1; Harris & Stephens 1988, Moravec 1980, Rosten & Drummond 2006, Lowe 2004, Matas et al.
 2002, Rublee et al. 2011. The angle is measured from x towards y, clockwise as seen.
 """
 

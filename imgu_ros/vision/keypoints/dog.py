@@ -20,7 +20,7 @@ from imgu_ros.vision.keypoints.spreading import spread
 #: Blur of SIFT's first scale, px (Lowe 2004, section 3.3).
 SIFT_SIGMA_PX = 1.6
 
-#: OpenCV doubles the picture first, aligning pixel areas, and halves the coordinates, as if centres had been aligned.
+#: OpenCV doubles the image first, aligning pixel areas, and halves the coordinates, as if centres had been aligned.
 _SHIFT_PX = 0.25
 #: Of extrema of every size most are small and weak: more of the strongest than other detectors keep are found again.
 _STRONGEST_SHARE = 2 / 3
@@ -29,10 +29,10 @@ _SIGMA_PER_SIZE = 0.5  # OpenCV's size is the diameter 2 sigma
 
 
 def detect_dog(image: Image, max_count: int) -> Corners:
-    """Find extrema of the difference of Gaussians on one picture, at every scale, with orientations.
+    """Find extrema of the difference of Gaussians on one image, at every scale, with orientations.
 
     Extrema among 26 neighbours in space and scale, interpolated by a quadratic, without those of low contrast or on
-    edges; a keypoint for every strong peak of the histogram of gradient directions; spread over the picture.
+    edges; a keypoint for every strong peak of the histogram of gradient directions; spread over the image.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def detect_dog(image: Image, max_count: int) -> Corners:
     -------
     Corners, strongest first; response is the contrast times the root of the scale, as the noise of a pixel counts less
     the larger the structure; scale is the blur of the lower of the two Gaussians whose difference is extremal. A
-    Gaussian blob of sigma s, as the picture shows it, answers at s^2 = 2^(1/3) scale^2 + 1/4.
+    Gaussian blob of sigma s, as the image shows it, answers at s^2 = 2^(1/3) scale^2 + 1/4.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def detect_dog(image: Image, max_count: int) -> Corners:
     by 0.7 % of their scale (rms). Directions are `dominant_orientations`, as OpenCV's, about the nearest pixel, are
     wrong by 1 to 6 degrees (rms). Blobs of any size are found to 0.1 px, to 3 % in scale and to 1.2 degrees; of
     isolated ones about one in twelve is missed.
-    OpenCV doubles the picture first: peak memory on 1920x1080: 465 to 575 MB.
+    OpenCV doubles the image first: peak memory on 1920x1080: 465 to 575 MB.
     """
     max_count = as_integer(max_count, "max_count")
     image = as_image(image, dtypes=(np.uint8,))

@@ -15,7 +15,7 @@ from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: The larger of the two Gaussians over the smaller: three scales in an octave.
 _RATIO = 2 ** (1 / 3)
-#: The smaller Gaussian, in pixels of the reduced picture, is at least so large: the sums are then as good as integrals.
+#: The smaller Gaussian, in pixels of the reduced image, is at least so large: the sums are then as good as integrals.
 _FINE_SIGMA = 2.0
 _REACH = 4.0
 _STEPS = 3
@@ -30,7 +30,7 @@ def refined_centres(image: Image, xy: ArrayLike, scale: ArrayLike) -> Points:
     """Move extrema of the difference of Gaussians to where its gradient vanishes.
 
     A detector that fits a quadratic to samples of the difference finds the extremum to about a hundredth of its scale:
-    the difference is no quadratic. Here its derivatives are sums over the picture itself, at any place, for Newton's
+    the difference is no quadratic. Here its derivatives are sums over the image itself, at any place, for Newton's
     method.
 
     Parameters
@@ -50,7 +50,7 @@ def refined_centres(image: Image, xy: ArrayLike, scale: ArrayLike) -> Points:
 
     Notes
     -----
-    Source: Lowe 2004, section 4, equation 3, with exact derivatives. Time is O(N), whatever the scales: the picture is
+    Source: Lowe 2004, section 4, equation 3, with exact derivatives. Time is O(N), whatever the scales: the image is
     reduced until the smaller Gaussian has 2 to 4 px.
 
     Examples
@@ -69,13 +69,13 @@ def refined_centres(image: Image, xy: ArrayLike, scale: ArrayLike) -> Points:
     limits = np.array(image.shape[1::-1]) - 0.5
     inside = ((points >= -0.5) & (points <= limits)).all(axis=1)
     reductions = np.maximum(1, np.floor(sigmas / _FINE_SIGMA)).astype(np.intp)
-    # Powers of two: few pictures, each a reduction of the one before.
+    # Powers of two: few images, each a reduction of the one before.
     reductions = 2 ** np.floor(np.log2(reductions)).astype(np.intp)
     for factor in np.unique(reductions[inside]).tolist():
         chosen = np.flatnonzero(inside & (reductions == factor))
         size = (math.ceil(image.shape[1] / factor), math.ceil(image.shape[0] / factor))
         reduced = _reduced(image, factor, size)
-        # A pixel of the reduced picture is a square of the image's.
+        # A pixel of the reduced image is a square of the image's.
         scaling = PixelScaling(float(factor))
         local = scaling.from_full_unchecked(points[chosen])
         moved = np.concatenate(

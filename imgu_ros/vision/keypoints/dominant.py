@@ -22,11 +22,11 @@ _WINDOW = 1.5
 _RADIUS = 4.5
 _SAMPLE_COUNT = 256
 
-#: Pictures smoothed for an octave of scales.
+#: Images smoothed for an octave of scales.
 _LEVELS_PER_OCTAVE = 2
-#: Sigma of the finest level of a picture that is halved, in its pixels: halving it loses nothing.
+#: Sigma of the finest level of an image that is halved, in its pixels: halving it loses nothing.
 _BASE_SIGMA_PX = 1.6
-#: Variances, px^2: of the blur that a picture is taken to have, and of Scharr's derivatives as a blur.
+#: Variances, px^2: of the blur that an image is taken to have, and of Scharr's derivatives as a blur.
 _PICTURE_VARIANCE = 0.25
 _SCHARR_VARIANCE = 0.35
 _SCHARR_SUM = 32
@@ -50,7 +50,7 @@ class Orientations:
 
 
 def dominant_orientations(image: Image, xy: Points, scale: Floats) -> Orientations:
-    """Return the directions in which the picture rises most about each point.
+    """Return the directions in which the image rises most about each point.
 
     Histograms of 36 directions of the gradients at the point's scale, weighted by magnitude and by a Gaussian of 1.5
     scales about the point itself, not about its pixel; smoothed; every peak of 80 % of the highest, at the vertex of
@@ -100,7 +100,7 @@ def dominant_orientations(image: Image, xy: Points, scale: Floats) -> Orientatio
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """Derivatives of a smoothed picture, every `step` px, and the points that they are right for."""
+    """Derivatives of a smoothed image, every `step` px, and the points that they are right for."""
 
     dx: Image
     dy: Image
@@ -111,7 +111,7 @@ class _Level:
 def _levels(image: Image, scale: Floats) -> Iterator[_Level]:
     """Yield the levels that points of these scales need, finest first."""
     steps = np.rint(_LEVELS_PER_OCTAVE * np.log2(scale / _BASE_SIGMA_PX)).astype(int)
-    # No picture need be halved beyond one pixel, and below half the first scale it is as sharp as it is.
+    # No image need be halved beyond one pixel, and below half the first scale it is as sharp as it is.
     steps = np.clip(steps, -_LEVELS_PER_OCTAVE, _LEVELS_PER_OCTAVE * math.ceil(math.log2(max(image.shape)) + 1) - 1)
     base = image.astype(np.float32)
     highest = float(np.abs(base).max())

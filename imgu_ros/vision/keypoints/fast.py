@@ -47,16 +47,16 @@ def fast_detector(parameters: FastParameters) -> Callable[[Image, int], Corners]
 
 
 def detect_fast(image: Image, max_count: int, arc: int = 9, threshold: int = THRESHOLD) -> Corners:
-    """Find FAST corners on one picture, with non-maximum suppression, oriented by the intensity centroid.
+    """Detect FAST corners in one image, with non-maximum suppression, oriented by the intensity centroid.
 
     A pixel is a corner when `arc` contiguous of the 16 pixels on the ring of radius 3 are all brighter than it by
     more than `threshold`, or all darker. Its response is the largest threshold with which it still is one; a corner
-    stays when no neighbour's response is as large. The survivors are spread over the picture.
+    stays when no neighbour's response is as large. The survivors are spread over the image.
 
     Parameters
     ----------
     image : (H, W) uint8
-    max_count : most corners, >= 1
+    max_count : maximum number of corners, >= 1
     arc : 9 to 12. 9 repeats best (Rosten 2010); 12 is the original, which wants sharper corners.
     threshold : grey values, 1 to 254
 

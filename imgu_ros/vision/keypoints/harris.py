@@ -25,15 +25,15 @@ _LARGEST_SIGMA_PX = 100.0
 
 
 def detect_harris(image: Image, max_count: int) -> Corners:
-    """Find Harris corners on one picture, to sub-pixel accuracy, oriented by the intensity centroid.
+    """Detect Harris corners in one image, to sub-pixel accuracy, oriented by the intensity centroid.
 
     The maxima of `harris_response` over 3x3 neighbourhoods, each at the vertex of the paraboloid through its nine
-    values, spread over the picture.
+    values, spread over the image.
 
     Parameters
     ----------
     image : (H, W) uint8
-    max_count : most corners, >= 1
+    max_count : maximum number of corners, >= 1
 
     Returns
     -------
@@ -86,7 +86,7 @@ def harris_response(image: Image, window_sigma: float = WINDOW_SIGMA_PX, k: floa
 
     Notes
     -----
-    Notes 4.2.1; Harris & Stephens, "A combined corner and edge detector", 1988, equation 8 ff.
+    IU 4.2.1; Harris & Stephens, "A combined corner and edge detector", 1988, equation 8 ff.
     """
     window_sigma = as_number(window_sigma, "window_sigma")
     k = as_number(k, "k")

@@ -16,11 +16,11 @@ from imgu_ros.vision.scale_space.pyramid import Level
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """N keypoints of one picture, as a detector finds them.
+    """N keypoints of one image, as a detector finds them.
 
     Attributes
     ----------
-    xy : (N, 2) px of that picture
+    xy : (N, 2) px of that image
     scale : (N,) px, sigma of the structure
     angle : (N,) rad in [-pi, pi), from x towards y; 0 where the detector gives none
     response : (N,) larger is stronger

@@ -27,16 +27,16 @@ _LARGEST_WINDOW_PX = 99
 
 
 def detect_moravec(image: Image, max_count: int) -> Corners:
-    """Find Moravec corners on one picture, to sub-pixel accuracy, oriented by the intensity centroid.
+    """Detect Moravec corners in one image, to sub-pixel accuracy, oriented by the intensity centroid.
 
     The maxima of `moravec_response` over 3x3 neighbourhoods, each at the vertex of the paraboloid through its nine
-    values, spread over the picture. The ancestor of the others, for comparison: it answers to slanted edges too, as
+    values, spread over the image. The ancestor of the others, for comparison: it answers to slanted edges too, as
     it looks in eight directions only.
 
     Parameters
     ----------
     image : (H, W) uint8
-    max_count : most corners, >= 1
+    max_count : maximum number of corners, >= 1
 
     Returns
     -------
@@ -89,7 +89,7 @@ def moravec_response(image: Image, window: int = WINDOW_PX) -> Image:
 
     Notes
     -----
-    Notes 4.2.2 sum over the window; the mean makes windows comparable. Moravec, "Obstacle avoidance and navigation in
+    IU 4.2.2 sums over the window; the mean makes windows comparable. Moravec, "Obstacle avoidance and navigation in
     the real world by a seeing robot rover", 1980, chapter 5. Four squared differences and four box filters serve the
     eight shifts; the cost does not depend on the window.
     """

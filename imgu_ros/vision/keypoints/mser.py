@@ -18,7 +18,7 @@ from imgu_ros.vision.keypoints.keypoints import Corners
 from imgu_ros.vision.keypoints.orientation import scaled_orientation
 from imgu_ros.vision.keypoints.spreading import spread
 
-#: OpenCV refuses smaller pictures.
+#: OpenCV refuses smaller images.
 _SMALLEST_SIDE_PX = 3
 #: Nested regions whose areas differ by less than this factor, one after the other, are one family.
 _DIVERSITY = 1.2
@@ -28,7 +28,7 @@ _SAME_PLACE = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regions:
-    """N regions of one picture, each darker, or each lighter, than all that surrounds it.
+    """N regions of one image, each darker, or each lighter, than all that surrounds it.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Regions:
 
 
 def detect_mser(image: Image, max_count: int) -> Corners:
-    """Find maximally stable extremal regions on one picture, of every size, oriented by the intensity centroid.
+    """Find maximally stable extremal regions on one image, of every size, oriented by the intensity centroid.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def detect_mser(image: Image, max_count: int) -> Corners:
 
     Returns
     -------
-    Corners at the regions' centroids, most stable first, spread over the picture; scale is the sigma at which a blob
+    Corners at the regions' centroids, most stable first, spread over the image; scale is the sigma at which a blob
     detector answers to a disc of the region's area, its radius / sqrt(2).
 
     Raises
@@ -86,7 +86,7 @@ def find_regions(
     image : (H, W) uint8
     delta : grey values by which the threshold moves to either side, 1 to 60
     min_area : px^2, >= 1
-    max_share : largest area as a share of the picture's, above 0, up to 1
+    max_share : largest area as a share of the image's, above 0, up to 1
     max_variation : largest relative change of the area over 2 `delta`, above 0
 
     Returns

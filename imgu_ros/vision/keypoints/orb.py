@@ -24,12 +24,12 @@ _SURPLUS = 2
 
 
 def detect_orb(image: Image, max_count: int) -> Corners:
-    """Find oriented FAST corners on one picture, at least PATCH_PX / 2 from its border.
+    """Detect oriented FAST corners in one image, at least PATCH_PX / 2 from its border.
 
     Parameters
     ----------
     image : (H, W) uint8
-    max_count : most corners, >= 1; spread over the picture, out of the strongest 2 `max_count`
+    max_count : maximum number of corners, >= 1; spread over the image, out of the strongest 2 `max_count`
 
     Returns
     -------

@@ -65,7 +65,7 @@ def centroid_orientation(image: Image, xy: Points, radius: int = RADIUS_PX) -> F
 def scaled_orientation(image: Image, xy: Points, scale: Floats) -> Floats:
     """Return the direction from each point to the centroid of intensity in a disc of six times its scale.
 
-    For structures of any size on one picture: discs are laid on the picture halved so often that their radii stay
+    For structures of any size on one image: discs are laid on the image halved so often that their radii stay
     between 15 and 30 px.
 
     Parameters
@@ -95,7 +95,7 @@ def scaled_orientation(image: Image, xy: Points, scale: Floats) -> Floats:
     scale = as_matrix(scale, (len(xy),), "scale")
     if len(xy) and not scale.min() > 0:
         raise ShapeError(f"scale: {scale.min():g}; need more than 0")
-    # Steps of a quarter octave; no picture needs more halvings than it has pixels on a side.
+    # Steps of a quarter octave; no image needs more halvings than it has pixels on a side.
     halvings = math.ceil(math.log2(max(image.shape)))
     steps = np.clip(np.rint(_RADII_PER_OCTAVE * np.log2(scale / _SIGMA_PX)), 0, _RADII_PER_OCTAVE * halvings)
     angle = np.empty(len(xy))

@@ -28,7 +28,7 @@ class Repeatability:
     ----------
     share : number of pairs over the smaller of the two numbers of keypoints in the common part; 0 where one has none
     index_src, index_dst : (K,) the pairs, nearest first
-    common_src, common_dst : (N,) and (M,) whether each keypoint lies in the part that both pictures show
+    common_src, common_dst : (N,) and (M,) whether each keypoint lies in the part that both images show
     """
 
     share: float
@@ -46,23 +46,23 @@ def repeatability(
     dst_size: Sequence[int] | None = None,
     radius_px: float = 1.5,
 ) -> Repeatability:
-    """Return the share of keypoints that are found again in a second picture of a plane.
+    """Return the share of keypoints that are found again in a second image of a plane.
 
-    Keypoints outside the part that both pictures show do not count. Two are the same when each, mapped into the
-    other's picture, lies within the radius there: in both, so that a zoom helps nobody. Nearest pairs come first, and
+    Keypoints outside the part that both images show do not count. Two are the same when each, mapped into the
+    other's image, lies within the radius there: in both, so that a zoom helps nobody. Nearest pairs come first, and
     each keypoint is in one pair at most.
 
     Parameters
     ----------
     src_xy, dst_xy : (N, 2) and (M, 2) px, positions of keypoints
-    H_dst_src : (3, 3) the true homography between the pictures
+    H_dst_src : (3, 3) the true homography between the images
     src_size, dst_size : (width, height) px; `dst_size` None: as `src_size`
     radius_px : largest distance of a keypoint from where it should be, > 0; 1.5 is that of Schmid et al.
 
     Raises
     ------
     DegenerateConfiguration
-        If H is singular, or the first picture's centre is mapped to infinity.
+        If H is singular, or the first image's centre is mapped to infinity.
     ShapeError
         If an argument is not as said.
 
@@ -73,7 +73,7 @@ def repeatability(
 
     Examples
     --------
-    The second picture is shifted by 10 px to the right, so that x < 10 px is new in it:
+    The second image is shifted by 10 px to the right, so that x < 10 px is new in it:
 
     >>> src, dst = [[50, 50], [20, 80], [95, 5]], [[60, 51], [30, 80], [70, 20], [3, 3]]
     >>> found = repeatability(src, dst, [[1, 0, 10], [0, 1, 0], [0, 0, 1]], (100, 100))
@@ -111,7 +111,7 @@ def _as_size(size: Sequence[int], name: str) -> tuple[int, int]:
 
 
 def _facing(H: ArrayLike, size: tuple[int, int]) -> Matrix3:
-    """Return H with the sign with which the picture's centre has w > 0: whatever has not lies beyond the horizon."""
+    """Return H with the sign with which the image's centre has w > 0: whatever has not lies beyond the horizon."""
     H = as_matrix(H, (3, 3), "H_dst_src")
     largest = float(np.abs(H).max())
     if largest == 0:

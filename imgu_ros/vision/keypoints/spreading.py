@@ -49,7 +49,7 @@ def spread(xy: Points, response: Floats, size: tuple[int, int], count: int, stro
     if len(xy) > count:
         side = math.sqrt(sides[0] * sides[1] / max(1, count // 2))
         columns = max(1, math.ceil(sides[0] / side))
-        # A point outside the picture counts to the nearest cell.
+        # A point outside the image counts to the nearest cell.
         row, column = (np.clip(xy[:, i], 0, sides[i] - 1) // side for i in (1, 0))
         cell = (row * columns + column).astype(np.intp)
         cell = cell[strongest_first]

@@ -20,8 +20,8 @@ again and again, as a target's, is prepared once: `prepare_gallery`, `match_to_g
 `ssd` and `zmssd` are squares: a ratio of 0.72 means for them what 0.85 means for distances. Single patches are compared
 by `ssd`, `zmssd` and `ncc` of `matching.patches`.
 
-`match_guided` seeks matches only near where a homography predicts them, with few rivals and thus a looser ratio;
-`guided_homography` repeats that and the fit until the matches stay the same. In the chain `matching.guided` does so
+`match_guided` matches only near the positions that a homography predicts, with few rivals and thus a looser ratio;
+`guided_homography` repeats that and the fit until the matches stay the same. In the pipeline `matching.guided` does so
 after the first homography: half as many matches again and more, for targets with repeating patterns; the alignment of
 `refinement.enabled` gains accuracy at less cost.
 
@@ -32,10 +32,11 @@ most displacements agree with. A `PatchAtlas` holds the squares of an image that
 developed.
 
 Hamming distances come from one product of matrices that compares two rows at once, exactly: 1000 descriptors of a
-frame with 3000 of a target in about 10 ms on two cores. How many matches of real pictures are correct, by
+frame with 3000 of a target in about 10 ms on two cores. How many matches of real images are correct, by
 descriptor and beside OpenCV's: `docs/matching.md`.
 
-Parameters: `matching.metric`, `matching.ratio`, `matching.mutual`, `matching.guided`. Notes: 5.1, 5.3, 5.4.2, 7.5.
+Parameters: `matching.metric`, `matching.ratio`, `matching.mutual`, `matching.guided`.
+Sources: IU 5.1, 5.3, 5.4.2, 7.5; Lowe 2004, section 7.1; HZ algorithm 4.6.
 """
 
 from imgu_ros.vision.matching.gallery import Gallery, Neighbours, Places, find_places, prepare_gallery

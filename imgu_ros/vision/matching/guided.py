@@ -20,7 +20,7 @@ from imgu_ros.vision.projective.fit import fit_homography
 from imgu_ros.vision.projective.homography import HomographyEstimate, normalised_homography
 from imgu_ros.vision.projective.refine import HomographyError
 
-#: Larger numbers are no coordinates in a picture.
+#: Larger numbers are no coordinates in an image.
 _LARGEST_PX = 1e9
 #: Pairs of neighbours weighed at once: bounds the memory.
 _CHUNK = 2**16
@@ -40,7 +40,7 @@ def match_guided(
 ) -> Matches:
     """Match each row of `src` to the nearest of those rows of `dst` that lie where a homography predicts it.
 
-    With few rivals left, a looser ratio does: true matches that rows elsewhere in the picture rivalled come back.
+    With few rivals left, a looser ratio does: true matches that rows elsewhere in the image rivalled come back.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def guided_homography(
     ----------
     src, dst, src_xy, dst_xy, metric, ratio : see `match_guided`
     start : (3, 3), a first homography, dst ~ H src
-    threshold_px : largest distance in dst of an inlier; matches are sought up to twice as far
-    min_inliers : fewest inliers of an answer, at least 5
+    threshold_px : largest distance in dst of an inlier; matches are considered up to twice as far
+    min_inliers : minimum number of inliers of an answer, at least 5
     error, refine : what the fit minimises, and how; see `fit_homography`
     max_rounds : >= 1; the matches may also alternate between two sets
 

@@ -74,13 +74,13 @@ class HomographyEstimator(Protocol):
 
 
 def ransac_estimator(parameters: RansacParameters) -> HomographyEstimator:
-    """Return the `ransac` of this package as an estimator of homographies."""
+    """Return the `ransac` of this package, with `parameters`, as an estimator of homographies."""
     require_type(parameters, RansacParameters, "parameters")
     return partial(_by_ransac, parameters, False)
 
 
 def usac_then_ransac_estimator(parameters: RansacParameters) -> HomographyEstimator:
-    """Return `ransac` that begins with OpenCV's USAC, whose answer stands where it is more than chance.
+    """Return `ransac`, with `parameters`, beginning with OpenCV's USAC: its answer stands if it is more than chance.
 
     With the score `biweight`, for matches of which few are right, it is `ransac` alone.
     """
@@ -89,7 +89,7 @@ def usac_then_ransac_estimator(parameters: RansacParameters) -> HomographyEstima
 
 
 def usac_magsac_estimator(parameters: UsacParameters) -> HomographyEstimator:
-    """Return OpenCV's USAC_MAGSAC as an estimator of homographies."""
+    """Return OpenCV's USAC_MAGSAC, with `parameters`, as an estimator of homographies."""
     require_type(parameters, UsacParameters, "parameters")
     return partial(_by_magsac, parameters)
 
