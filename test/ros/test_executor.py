@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -185,3 +186,19 @@ def test_a_clock_of_its_own(spun: Spun) -> None:
         return bool(spun.node.get_clock().now().nanoseconds == 100_000_000_000)
 
     spun.until(follows)
+
+
+def test_the_single_threaded_executor_stands_in(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the events executor in an older rclpy, and with a closed stderr, which its faulthandler refuses."""
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=ros_domain)
+    try:
+        assert not isinstance(make_executor(context), SingleThreadedExecutor)
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, "rclpy.experimental", None)
+            assert isinstance(make_executor(context), SingleThreadedExecutor)
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stderr", None)
+            assert isinstance(make_executor(context), SingleThreadedExecutor)
+    finally:
+        context.try_shutdown()
