@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -204,10 +205,7 @@ def _lost(reference: Reference, is_due: bool) -> ReferenceResult:
 def _tracked(reference: Reference, alignment: PatchAlignment) -> ReferenceResult:
     """Return the result of a reference that is tracked: its matches are the aligned patches, which all agree."""
     count = len(alignment.template_xy)
-    none = np.full(count, -1, np.intp)
-    matches = ReferenceMatches(
-        Matches(none, none, np.zeros(count)), alignment.template_xy, alignment.image_xy, np.ones(count, bool)
-    )
+    matches = ReferenceMatches(_no_keypoints(count), alignment.template_xy, alignment.image_xy, np.ones(count, bool))
     return ReferenceResult(
         reference.name,
         reference.number,
@@ -215,6 +213,13 @@ def _tracked(reference: Reference, alignment: PatchAlignment) -> ReferenceResult
         matches=matches,
         confirmed_share=alignment.agreeing_share,
     )
+
+
+@lru_cache(maxsize=256)
+def _no_keypoints(count: int) -> Matches:
+    """Return `count` matches that name no keypoints."""
+    none = np.full(count, -1, np.intp)
+    return Matches(none, none, np.zeros(count))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

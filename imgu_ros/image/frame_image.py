@@ -62,7 +62,7 @@ _SMALLEST_SIDE_PX = 8
 class FrameImage:
     """A frame's grey and colour images, each computed on the first call, then kept."""
 
-    def __init__(self, image: RawImage, raw: RawParameters, method: DemosaicMethod) -> None:
+    def __init__(self, image: RawImage, raw: RawParameters, method: str) -> None:
         self._layout = image.layout
         self._pixels = _checked_pixels(image)
         self._raw = raw
@@ -80,7 +80,7 @@ class FrameImage:
             image.layout.color in (ColorModel.MONO, ColorModel.LUMA)
             or (
                 image.layout.color is ColorModel.BAYER
-                and method is DemosaicMethod.BILINEAR
+                and method == DemosaicMethod.BILINEAR
                 and raw.grey_weights == REC601
                 and all(gain == 1.0 for gain in raw.gains)
             )
@@ -182,7 +182,7 @@ class FrameImage:
                 top = float(np.iinfo(pixels.dtype).max)
                 balanced = with_levels(pixels, layout.pattern, black, black + top, self._raw.gains)
                 black, white = 0.0, None if white is None else white - black
-            if self._method is DemosaicMethod.BILINEAR and self._raw.grey_weights == REC601:
+            if self._method == DemosaicMethod.BILINEAR and self._raw.grey_weights == REC601:
                 grey = grey_from_mosaic(balanced, layout.pattern)
             else:
                 grey = grey_of(demosaic(balanced, layout.pattern, self._method), self._raw.grey_weights)
@@ -283,7 +283,7 @@ def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameter
         If the pixels do not fit their layout, `raw.bands` names a band that the image lacks, or the black level is
         not below the white level.
     """
-    return FrameImage(image, raw, DemosaicMethod(demosaicking.method))
+    return FrameImage(image, raw, demosaicking.method)
 
 
 def grey_of(color: Image, weights: Sequence[float]) -> Image:
@@ -323,7 +323,12 @@ def _checked_pixels(image: RawImage) -> Image:
         raise ShapeError("layout: a Bayer image without a pattern; need one")
     packed = layout.color in (ColorModel.UYVY, ColorModel.YUYV)
     dtypes = (np.uint8,) if packed else (np.uint8, np.uint16)
-    pixels = as_image(pixels, "pixels", (_CHANNELS[layout.color],), dtypes, rescaled=False)
+    channels = _CHANNELS[layout.color]
+    is_array = isinstance(pixels, np.ndarray) and pixels.dtype in dtypes and pixels.dtype.isnative and pixels.size > 0
+    if not (
+        is_array and pixels.flags.c_contiguous and pixels.shape[2:] == (channels,) * (channels > 1) and pixels.ndim > 1
+    ):
+        pixels = as_image(pixels, "pixels", (channels,), dtypes, rescaled=False)
     if image.pixels.dtype.type not in dtypes:
         need = ", ".join(np.dtype(d).name for d in dtypes)
         raise ShapeError(f"pixels: data type {image.pixels.dtype}; need {need}")

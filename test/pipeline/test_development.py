@@ -318,7 +318,7 @@ def test_luma_is_grey_of_a_display():
     assert (luma.is_linear, mono.is_linear) == (False, True)
     np.testing.assert_array_equal(luma.grey, pixels)
     np.testing.assert_array_equal(luma.color(), np.dstack([pixels] * 3))
-    np.testing.assert_array_equal(luma.halved(1), mono.halved())
+    np.testing.assert_array_equal(luma.halved(1), mono.halved(1))
 
 
 CHANNELS = {
