@@ -58,6 +58,8 @@ _CHANNELS = {
 #: default.
 _SMALLEST_SIDE_PX = 8
 
+_METHODS = frozenset(str(method) for method in DemosaicMethod)
+
 
 class FrameImage:
     """A frame's grey and colour images, each computed on the first call, then kept."""
@@ -283,6 +285,8 @@ def develop(image: RawImage, raw: RawParameters, demosaicking: DemosaicParameter
         If the pixels do not fit their layout, `raw.bands` names a band that the image lacks, or the black level is
         not below the white level.
     """
+    if demosaicking.method not in _METHODS:
+        DemosaicMethod(demosaicking.method)  # raises, with the choices
     return FrameImage(image, raw, demosaicking.method)
 
 
