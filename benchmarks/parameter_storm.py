@@ -124,8 +124,8 @@ def storm(folder: Path, arguments: argparse.Namespace) -> dict[str, Any]:
                 process.kill()
                 process.wait()
     complaints = Counter(line.partition("]: ")[2].strip() for line in lines if "[ERROR]" in line or "Traceback" in line)
-    # Some settings leave too few keypoints on the target: said, and the chain goes on with the old ones.
-    surprising = {text: n for text, n in complaints.items() if "the chain goes on with the old ones" not in text}
+    # Some settings leave too few keypoints on the target: said, and the old parameters stay in use.
+    surprising = {text: n for text, n in complaints.items() if "the old parameters stay in use" not in text}
     delivered = int(figures.pop("delivered", 0))
     figures |= {
         "frames_sent": sent, "frames_delivered": delivered, "frames_not_delivered": sent - delivered,

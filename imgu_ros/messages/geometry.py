@@ -70,7 +70,7 @@ class PathHistory:
     """The camera's path, as nav_msgs/Path at most once a second of the frames' stamps.
 
     While stamps do not change (all 0) it is published with every thirtieth pose. When stamps jump back by more than a
-    second it starts anew.
+    second it restarts.
     """
 
     def __init__(self, make: MessageFactory) -> None:
@@ -82,7 +82,7 @@ class PathHistory:
         self._standing = 0
 
     def use(self, frame: str, max_length: int) -> None:
-        """Give poses in this frame, the latest `max_length` of them (>= 1); in another frame the path starts anew."""
+        """Give poses in this frame, the latest `max_length` of them (>= 1); in another frame the path restarts."""
         if max_length < 1:
             raise ParameterError(f"path.max_length: {max_length}; need at least 1")
         if frame != self._frame:
@@ -92,7 +92,7 @@ class PathHistory:
             self._poses = deque(self._poses, maxlen=max_length)
 
     def clear(self) -> None:
-        """Start anew."""
+        """Drop all poses."""
         self._poses.clear()
         self._last_ns = self._sent_ns = None
 
@@ -100,7 +100,7 @@ class PathHistory:
         """Add the camera's pose; return the nav_msgs/Path when one is due, else None."""
         if self._last_ns is not None and stamp_ns < self._last_ns - _PATH_PERIOD_NS:
             if stamp_ns == 0:
-                return None  # no stamp, or the first of a recording that begins anew: the next one tells
+                return None  # no stamp, or the first of a recording that restarts: the next one shows which
             self.clear()
         self._last_ns = stamp_ns
         make, header = self._make, Header(stamp_ns, self._frame)

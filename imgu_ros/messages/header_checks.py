@@ -111,7 +111,7 @@ class HeaderChecks:
         last_ns, before_zero = camera.last_ns, camera.before_zero
         camera.last_ns, camera.before_zero = stamp_ns, None
         if stamp_ns == 0:
-            # A recording may begin at 0, or begin anew there: what follows tells.
+            # A recording may start or restart at 0: the next stamps show it.
             if last_ns == 0 or Oddity.ZERO in self._counts:
                 self._note(Oddity.ZERO, "")
             else:
@@ -171,8 +171,8 @@ class HeaderChecks:
                 )
             case Oddity.JUMP:
                 return (
-                    f"stamps of {topic} jump back in {share} (first {detail}): a recording that begins anew, or a "
-                    "clock that was set; tracks and paths begin anew"
+                    f"stamps of {topic} jump back in {share} (first {detail}): a recording that restarts, or a "
+                    "clock that was set; tracks and paths restart"
                 )
 
 

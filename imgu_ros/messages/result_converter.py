@@ -72,7 +72,7 @@ class ResultConverter:
         return bool(self._places)
 
     def reset(self) -> None:
-        """Forget earlier frames: paths begin anew."""
+        """Forget earlier frames: paths restart."""
         self._states.clear()
 
     def topics(self) -> Mapping[str, OutputTopic]:

@@ -108,12 +108,14 @@ def _instead(node: Node, wanted: Wanted) -> str:
     same = [offer.topic for offer in similar if wanted.type_name in offer.types]
     if same:
         return f"{wanted.type_name} is on {', '.join(same)}: remap with -r {wanted.remapped}:={same[0]}"
-    nobody = f"nobody publishes {wanted.type_name} in {domain_text(node)}"
+    unpublished = f"{wanted.type_name} has no publisher in {domain_text(node)}"
     if not similar:
         hint = elsewhere(node)
-        return f"{nobody}: is the camera's driver running?{f' {hint[0].upper()}{hint[1:]}' if hint else ''}"
+        return f"{unpublished}: is the camera's driver running?{f' {hint[0].upper()}{hint[1:]}' if hint else ''}"
     others = ", ".join(f"{offer.topic} ({', '.join(offer.types)})" for offer in similar)
-    return f"{nobody}; similar names: {others}{_hint_of_type(wanted, [t for offer in similar for t in offer.types])}"
+    return (
+        f"{unpublished}; similar names: {others}{_hint_of_type(wanted, [t for offer in similar for t in offer.types])}"
+    )
 
 
 def _of_another_transport(wanted: Wanted) -> Iterator[tuple[str, str]]:

@@ -136,7 +136,7 @@ class MapToRootPublisher:
                 f"{pose.root}: hangs from {parent!r} already; need a root of the robot's tree (tf.root_frame: {top!r})"
             )
         if now < self._others.get(pose.root, -math.inf):
-            return f"{pose.root}: somebody else publishes {self._map} -> {pose.root}; need one publisher of it"
+            return f"{pose.root}: another node publishes {self._map} -> {pose.root}; need one publisher of it"
         return ""
 
     def _on_static(self, message: Any) -> None:

@@ -236,7 +236,7 @@ class Outputs:
         return self._publishers.qos_override_names()
 
     def reset(self) -> None:
-        """Forget earlier frames: paths start anew, and the robot's transforms are awaited again."""
+        """Forget earlier frames: paths restart, and the robot's transforms are awaited again."""
         self._converter.reset()
         if self._tie is not None:
             self._tie.forget()

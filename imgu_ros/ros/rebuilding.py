@@ -77,10 +77,10 @@ class Rebuilder:
         try:
             built = prepare_localizer(order.before.images, order.parameters, order.before)
         except ImguError as error:
-            self._failed(f"parameters: {error}; the chain goes on with the old ones")
+            self._failed(f"parameters: {error}; the old parameters stay in use")
         except Exception as error:
             # The old localizer stays in use; later parameters may be valid.
-            self._failed(f"parameters: {type(error).__name__}: {error}; the chain goes on with the old ones")
+            self._failed(f"parameters: {type(error).__name__}: {error}; the old parameters stay in use")
         else:
             with self._lock:
                 self._done = built if self._tried is order.parameters else None

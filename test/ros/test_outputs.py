@@ -267,7 +267,7 @@ def test_never_a_second_parent(tf2_msgs: None, settled: None) -> None:
     other.hear("/tf", (SECOND, "map", "odom", transform(1)))
     out.publish(result())
     assert ("map", "odom") not in other.tf()
-    assert "somebody else publishes map -> odom" in out.problem
+    assert "another node publishes map -> odom" in out.problem
 
 
 def test_at_first_the_robots_transforms_are_awaited(tf2_msgs: None, monkeypatch: pytest.MonkeyPatch) -> None:

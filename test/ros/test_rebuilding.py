@@ -70,7 +70,7 @@ def test_what_cannot_be_made_is_said_once_and_the_next_is_made(built):
         time.sleep(0.005)
     assert len(failed) == 1
     assert failed[0].startswith("parameters: target poster: ")
-    assert failed[0].endswith("; the chain goes on with the old ones")
+    assert failed[0].endswith("; the old parameters stay in use")
     rebuilder.ask(built, replace(CHEAP, seed=3))
     assert taken(rebuilder).parameters.seed == 3
     assert rebuilder.close(5.0)

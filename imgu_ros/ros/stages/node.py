@@ -91,7 +91,7 @@ class StageNode(ManagedNode[StageInput, FrameWorker]):
                 self._stage.use(parameters, self._images)
                 self._fit(parameters)
             except ImguError as error:
-                self._log_failure(f"parameters: {error}; {self._stage.name} goes on with the old ones")
+                self._log_failure(f"parameters: {error}; {self._stage.name} keeps the old ones")
 
     def _warn_of_override(self, line: str) -> None:
         # Six nodes may share a parameter file.
