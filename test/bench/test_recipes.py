@@ -8,14 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-<<<<<<< HEAD
 from imgu_ros.bench.measuring import MeasurementPlan, measure
-from imgu_ros.bench.recipes import METHODS, Recipe, make_method
-=======
-from imgu_ros.bench.lineup import DETECTION, ORB, SIFT, TRACKING, make_method
-from imgu_ros.bench.measuring import Show, measure
-from imgu_ros.bench.recipes import Recipe
->>>>>>> 5b4f38b (Tests: limits of errors near what is measured instead of five to thirty times above it)
+from imgu_ros.bench.recipes import DETECTION, ORB, SIFT, TRACKING, Recipe, make_method
 from imgu_ros.errors import ParameterError, ShapeError
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.conditions import PLAIN, condition_named
