@@ -27,6 +27,7 @@ from imgu_ros.vision.projective.homography import HomographyNormalEquations
 
 #: Smallest step, as a share of the parameters' standard deviations at 1 px noise.
 _TOLERANCE = 5e-3
+#: Bounds the time of a problem that does not converge; three to six steps are usual.
 _MOST_STEPS = 30
 #: Marquardt's damping at the start, and its limits.
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e12
