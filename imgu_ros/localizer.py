@@ -11,7 +11,7 @@ import numpy as np
 
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.camera_memory import CameraMemories, CameraMemory
-from imgu_ros.config.components import DevelopmentParameters
+from imgu_ros.config.components import DevelopmentParameters, FeatureParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
@@ -52,9 +52,10 @@ class Localizer:
     ) -> None:
         self._parameters = parameters
         self._development = DevelopmentParameters.of(parameters)
+        self._features = FeatureParameters.of(parameters)
         self._cache = BuildCache() if cache is None else cache
         self._cameras = CameraMemories()
-        self._extractor = self._cache.make(make_extractor, extractor_options(parameters))
+        self._extractor = self._cache.make(make_extractor, extractor_options(self._features))
         self._know(references)
 
     @property
@@ -134,7 +135,7 @@ class Localizer:
         )
 
     def _extract(self, image: FrameImage, clock: StageClock) -> Features:
-        return find_features(image, self._parameters, self._extractor, clock)
+        return find_features(image, self._features, self._extractor, clock)
 
     def _know(self, references: Iterable[Reference]) -> None:
         self._references = {reference.name: reference for reference in references}
@@ -153,9 +154,8 @@ class Localizer:
             except EstimationError:
                 continue
             with context.clock.measures(Stage.POSE):
-                found[name] = reference.pose(
-                    _tracked(reference, alignment), located(alignment), frame, p, memory.calibration
-                )
+                place = located(alignment)
+                found[name] = reference.pose(_tracked(reference, alignment), place, frame, memory.calibration)
         return found
 
     def _detect(

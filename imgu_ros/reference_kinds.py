@@ -13,6 +13,7 @@ from typing import Any
 
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.checks import method_conflict
+from imgu_ros.config.components import ComponentParameters, ReferenceParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import Detector, ReferenceDetector
 from imgu_ros.errors import ParameterError
@@ -27,16 +28,18 @@ class ReferenceKind:
 
     Attributes
     ----------
-    make : returns the reference of an image, its number, all parameters, and the cache of what is computed
-    detector : returns the detector of references of this kind, for all parameters, with the same cache
+    parameters : class of the parameters that both take
+    make : returns the reference of an image, its number, its parameters, and the cache of what is computed
+    detector : returns the detector of references of this kind, for the same parameters, with the same cache
     """
 
-    make: Callable[[TargetImage, int, Parameters, BuildCache], Reference]
-    detector: Callable[[Sequence[Any], Parameters, BuildCache], Detector]
+    parameters: type[ComponentParameters]
+    make: Callable[[TargetImage, int, Any, BuildCache], Reference]
+    detector: Callable[[Sequence[Any], Any, BuildCache], Detector]
 
 
 KINDS: dict[str, ReferenceKind] = {
-    PlanarReference.kind: ReferenceKind(planar_reference, ReferenceDetector),
+    PlanarReference.kind: ReferenceKind(ReferenceParameters, planar_reference, ReferenceDetector),
 }
 
 
@@ -62,8 +65,9 @@ def make_references(
     if reason:
         raise ParameterError(reason)
     cache = BuildCache() if cache is None else cache
-    make = KINDS[parameters.reference].make
-    return tuple(make(image, number, parameters, cache) for number, image in enumerate(images))
+    kind = KINDS[parameters.reference]
+    own = kind.parameters.of(parameters)
+    return tuple(kind.make(image, number, own, cache) for number, image in enumerate(images))
 
 
 def prepare_references(
@@ -87,8 +91,10 @@ def make_detectors(
 ) -> dict[str, Detector]:
     """Return a detector for each kind among the references, by kind."""
     cache = BuildCache() if cache is None else cache
-    kinds = dict.fromkeys(reference.kind for reference in references)
+    by_kind: dict[str, list[Reference]] = {}
+    for reference in references:
+        by_kind.setdefault(reference.kind, []).append(reference)
     return {
-        kind: KINDS[kind].detector([each for each in references if each.kind == kind], parameters, cache)
-        for kind in kinds
+        name: KINDS[name].detector(members, KINDS[name].parameters.of(parameters), cache)
+        for name, members in by_kind.items()
     }

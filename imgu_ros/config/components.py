@@ -24,6 +24,7 @@ from imgu_ros.config.parameters import (
     MatchingParameters,
     Parameters,
     PathParameters,
+    PoseParameters,
     PreprocessParameters,
     PyramidParameters,
     RawParameters,
@@ -105,9 +106,10 @@ class DetectionParameters(FeatureParameters):
 
 @dataclass(frozen=True, slots=True)
 class ReferenceParameters(DetectionParameters):
-    """How references are prepared: their features as the detection needs them, their grey image, their patches."""
+    """How references are made and what poses they give: grey image, patches, features as the detection needs them."""
 
     raw: RawParameters
+    pose: PoseParameters
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from imgu_ros.build_cache import BuildCache
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import DetectionParameters
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.robust_fit import draws
@@ -63,12 +63,12 @@ class ReferenceDetector:
     Parameters
     ----------
     references : made with the same parameters
-    parameters : all parameters
+    parameters : those of detection
     cache : keeps what is computed; what was computed before of the same references is used again
     """
 
     def __init__(
-        self, references: Sequence[PlanarReference], parameters: Parameters, cache: BuildCache | None = None
+        self, references: Sequence[PlanarReference], parameters: DetectionParameters, cache: BuildCache | None = None
     ) -> None:
         self._references = tuple(references)
         self._parameters = parameters
@@ -131,7 +131,7 @@ class ReferenceDetector:
                 features,
                 context,
                 parameters,
-                draws(parameters, context.frame.stamp_ns, reference),
+                draws(parameters.seed, context.frame.stamp_ns, reference),
             )
             for reference in likely
         )
@@ -139,7 +139,7 @@ class ReferenceDetector:
     def match(self, described: Descriptions) -> Iterator[ReferenceResult]:
         """Yield the references that a first pass would search for, the most likely first, with tentative matches."""
         for reference in self._likely(described, self._references, _FEWEST_VOTES[SearchPass.FIRST]):
-            matches = tentative_matches(reference.features, described, self._parameters)
+            matches = tentative_matches(reference.features, described, self._parameters.matching)
             yield ReferenceResult(reference.name, reference.number, Status.LOST, matches=matches)
 
     def _likely(

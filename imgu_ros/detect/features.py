@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.config.parameters import Parameters, PreprocessParameters
+from imgu_ros.config.components import FeatureParameters
+from imgu_ros.config.parameters import PreprocessParameters
 from imgu_ros.image.frame_image import FrameImage, most_halvings
 from imgu_ros.image.preprocessing import preprocessed, with_edges
 from imgu_ros.result import Stage, StageClock
@@ -36,14 +37,14 @@ class Features:
 
 
 def find_features(
-    pictures: FrameImage, parameters: Parameters, extractor: FeatureExtractor, clock: StageClock
+    pictures: FrameImage, parameters: FeatureParameters, extractor: FeatureExtractor, clock: StageClock
 ) -> Features:
     """Build a frame's pyramid, detect its keypoints and describe them.
 
     Parameters
     ----------
     images : the frame's
-    parameters : all parameters; for a thorough search those of `thorough_parameters`
+    parameters : those of features; for a thorough search those of `thorough_parameters`
     extractor : the one that the parameters choose, see `extractor_options`
     clock : takes the time of the stages
     """
@@ -52,7 +53,7 @@ def find_features(
     return extracted_features(pyramid, extractor, parameters.keypoints.max_count, clock)
 
 
-def frame_pyramid(base: Reduced, parameters: Parameters) -> Pyramid:
+def frame_pyramid(base: Reduced, parameters: FeatureParameters) -> Pyramid:
     """Build the pyramid in which keypoints are detected."""
     p = parameters.pyramid
     pyramid = build_pyramid(
@@ -112,7 +113,7 @@ class Reduction:
         return math.sqrt(self.full_width / self.width * (self.full_height / self.height))
 
 
-def reduction_of(shape: tuple[int, int], parameters: Parameters) -> Reduction:
+def reduction_of(shape: tuple[int, int], parameters: FeatureParameters) -> Reduction:
     """Return how a frame of `shape`, (height, width) px, is reduced."""
     height, width = shape
     factor = math.ceil(max(height, width) / parameters.pyramid.max_side_px)
@@ -126,7 +127,7 @@ def reduction_of(shape: tuple[int, int], parameters: Parameters) -> Reduction:
     return Reduction(halvings, small[0], small[1], columns * step, rows * step)
 
 
-def reduced_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
+def reduced_picture(pictures: FrameImage, parameters: FeatureParameters) -> Reduced:
     """Return the image in which keypoints are detected: straight from the mosaic where it is small and as it came."""
     p = parameters.pyramid
     reduction = reduction_of(pictures.shape, parameters)
@@ -142,7 +143,7 @@ def reduced_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
     return Reduced(image, full_size)
 
 
-def plain_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
+def plain_picture(pictures: FrameImage, parameters: FeatureParameters) -> Reduced:
     """Return the image from which `reduced_picture` can be made elsewhere: the same, or all of a frame's pixels.
 
     Steps of `preprocess` come before the reduction, and are left to whoever makes the pyramid.
@@ -152,5 +153,5 @@ def plain_picture(pictures: FrameImage, parameters: Parameters) -> Reduced:
     return Reduced(pictures.halved(0), np.array(pictures.shape[::-1]))
 
 
-def _is_preprocessed(parameters: Parameters) -> bool:
+def _is_preprocessed(parameters: FeatureParameters) -> bool:
     return parameters.preprocess != PreprocessParameters()

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import DetectionParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import FrameImage
@@ -80,12 +80,12 @@ class RobustFit:
     frame : gives the camera
     image : its image; None: nothing is refined by patches, nor verified by comparing images
     unit_px : raw px in a pixel of the image in which keypoints were detected
-    parameters : all parameters
+    parameters : those of detection
     clock : takes the time of the stages
     """
 
     def __init__(
-        self, frame: Frame, image: FrameImage | None, unit_px: float, parameters: Parameters, clock: StageClock
+        self, frame: Frame, image: FrameImage | None, unit_px: float, parameters: DetectionParameters, clock: StageClock
     ) -> None:
         self._frame = frame
         self._image = image
@@ -152,7 +152,7 @@ class RobustFit:
         with clock.measures(Stage.POSE):
             if finish is not None:
                 return finish(detected, located)
-            return reference.pose(detected, located, self._frame, p)
+            return reference.pose(detected, located, self._frame)
 
     def _agreed(self, matches: ReferenceMatches, rng: np.random.Generator) -> _Agreed:
         p, usable, ideal = self._parameters.homography, np.arange(len(matches.template_xy)), matches.image_xy
@@ -197,7 +197,9 @@ class RobustFit:
         return aligned
 
 
-def _missing(result: ReferenceResult, error: EstimationError, matches: int, parameters: Parameters) -> ReferenceResult:
+def _missing(
+    result: ReferenceResult, error: EstimationError, matches: int, parameters: DetectionParameters
+) -> ReferenceResult:
     """Return the result of a reference that was searched and not found."""
     agreeing = max(result.most_inliers, error.inliers if isinstance(error, NoConsensus) else 0)
     return replace(
@@ -209,16 +211,16 @@ def _missing(result: ReferenceResult, error: EstimationError, matches: int, para
     )
 
 
-def draws(parameters: Parameters, stamp_ns: int, reference: Reference) -> np.random.Generator:
+def draws(seed: int, stamp_ns: int, reference: Reference) -> np.random.Generator:
     """Return the random generator of one frame and reference.
 
     It depends on the reference's name: a skipped frame, or another reference more or less, changes no other draws.
     """
     name = zlib.crc32(reference.name.encode("utf-8", "surrogatepass"))
-    return np.random.default_rng((parameters.seed, stamp_ns % 2**64, name))
+    return np.random.default_rng((seed, stamp_ns % 2**64, name))
 
 
-def homography_estimator(parameters: Parameters) -> HomographyEstimator:
+def homography_estimator(parameters: DetectionParameters) -> HomographyEstimator:
     """Return the chosen robust estimator, made once of its own parameters."""
     row = ESTIMATORS[parameters.homography.estimator]
     return _made(row, row.parameters_from(lambda name: attrgetter(name)(parameters)))

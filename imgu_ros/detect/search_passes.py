@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import DetectionParameters
+from imgu_ros.config.parameters import MatchingParameters
 from imgu_ros.detect.features import Features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.robust_fit import LocatedMatches, RobustFit
@@ -48,7 +49,7 @@ def search(
     search_pass: SearchPass,
     features: Features,
     context: FrameContext,
-    parameters: Parameters,
+    parameters: DetectionParameters,
     rng: np.random.Generator,
 ) -> ReferenceResult:
     """Search a frame for a reference; a failure becomes a status with its reason.
@@ -59,12 +60,12 @@ def search(
     search_pass : which of its features are matched
     features : of the frame, for this pass
     context : the frame
-    parameters : all parameters, of this pass
+    parameters : those of detection, of this pass
     rng : draws minimal samples
     """
     with context.clock.measures(Stage.MATCH):
         known = search_pass.features_of(reference)
-        matches = tentative_matches(known, features.described, parameters)
+        matches = tentative_matches(known, features.described, parameters.matching)
     missing = ReferenceResult(reference.name, reference.number, Status.LOST, matches=matches)
     guide = None
     if parameters.matching.guided:
@@ -74,10 +75,11 @@ def search(
     return fit.locate(missing, reference, rng, guide)
 
 
-def tentative_matches(known: TargetFeatures, described: Descriptions, parameters: Parameters) -> ReferenceMatches:
+def tentative_matches(
+    known: TargetFeatures, described: Descriptions, parameters: MatchingParameters
+) -> ReferenceMatches:
     """Match the descriptors of a frame to those of a reference, best first."""
-    p = parameters.matching
-    found = match_to_gallery(described.descriptors, known.gallery, p.ratio, p.mutual)
+    found = match_to_gallery(described.descriptors, known.gallery, parameters.ratio, parameters.mutual)
     # Matched from the frame to the reference, reported from the reference to the frame.
     matches = Matches(found.index_dst, found.index_src, found.distance)
     return ReferenceMatches(
@@ -94,7 +96,7 @@ def guided(
     features: Features,
     found: LocatedMatches,
     lens: Camera | None,
-    parameters: Parameters,
+    parameters: DetectionParameters,
 ) -> LocatedMatches:
     """Match again, guided by the homography of `found`, to convergence; `found` itself when that brings no more."""
     p = parameters.homography

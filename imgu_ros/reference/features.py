@@ -12,7 +12,8 @@ from threading import Lock
 import cv2
 import numpy as np
 
-from imgu_ros.config.parameters import Parameters, PreprocessParameters
+from imgu_ros.config.components import DetectionParameters, FeatureParameters
+from imgu_ros.config.parameters import PreprocessParameters
 from imgu_ros.image.preprocessing import for_targets, preprocessed, with_edges
 from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.describe import Descriptions
@@ -86,7 +87,7 @@ class DescriptionOptions:
     metric: Metric
 
 
-def description_options(parameters: Parameters) -> DescriptionOptions:
+def description_options(parameters: DetectionParameters) -> DescriptionOptions:
     """Return the values that the description of a target depends on, of `thorough_parameters` for a thorough search."""
     p = parameters
     return DescriptionOptions(
@@ -101,7 +102,7 @@ def description_options(parameters: Parameters) -> DescriptionOptions:
     )
 
 
-def extractor_options(parameters: Parameters) -> ExtractorOptions:
+def extractor_options(parameters: FeatureParameters) -> ExtractorOptions:
     """Return the chosen detector and descriptor with their own parameters."""
     descriptor = DESCRIPTORS[parameters.descriptor.kind]
     detector = None if descriptor.detects else DETECTORS[parameters.keypoints.detector]
@@ -117,7 +118,7 @@ def extractor_options(parameters: Parameters) -> ExtractorOptions:
     )
 
 
-def thorough_parameters(parameters: Parameters) -> Parameters:
+def thorough_parameters(parameters: DetectionParameters) -> DetectionParameters:
     """Return the parameters of a thorough search: more pixels, scales, keypoints and RANSAC samples."""
     p = parameters
     kind = PyramidKind.FINE if p.pyramid.kind == PyramidKind.COARSE else p.pyramid.kind

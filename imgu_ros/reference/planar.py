@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.build_cache import BuildCache
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import ReferenceParameters
+from imgu_ros.config.parameters import PoseParameters
 from imgu_ros.errors import ShapeError
 from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
@@ -45,6 +46,7 @@ class PlanarReference(Reference):
     templates : for alignment
     front : keypoints and descriptors at every scale
     close, thorough : those for the search of a reference that is near, and for a thorough search
+    pose_parameters : for the pose
     """
 
     kind = "target"
@@ -57,6 +59,7 @@ class PlanarReference(Reference):
         front: FeaturesOnDemand,
         close: FeaturesOnDemand,
         thorough: FeaturesOnDemand,
+        pose_parameters: PoseParameters,
     ) -> None:
         height, width = image.pixels.shape[:2]
         super().__init__(image.name, number, Plane(width, height, image.width_m), templates)
@@ -64,6 +67,7 @@ class PlanarReference(Reference):
         self.front = front
         self.close = close
         self.thorough = thorough
+        self._pose_parameters = pose_parameters
 
     @property
     def features(self) -> TargetFeatures:
@@ -88,20 +92,21 @@ class PlanarReference(Reference):
         found: ReferenceResult,
         located: Located,
         frame: Frame,
-        parameters: Parameters,
         check: CalibrationCheck | None = None,
     ) -> ReferenceResult:
         """See `Reference.pose`."""
-        return planar_pose(found, self.plane, located, frame, parameters.pose, check)
+        return planar_pose(found, self.plane, located, frame, self._pose_parameters, check)
 
 
-def planar_reference(image: TargetImage, number: int, parameters: Parameters, cache: BuildCache) -> PlanarReference:
+def planar_reference(
+    image: TargetImage, number: int, parameters: ReferenceParameters, cache: BuildCache
+) -> PlanarReference:
     """Return the reference of an image; what takes time is computed when it is first needed.
 
     Parameters
     ----------
     image, number : of the reference
-    parameters : all parameters
+    parameters : those of references
     cache : keeps what is computed; what was computed before of the same image and equal values is used again
 
     Raises
@@ -125,6 +130,7 @@ def planar_reference(image: TargetImage, number: int, parameters: Parameters, ca
         cache.make(_on_demand, target_features, grey, first, extractor),
         cache.make(_on_demand, close_features, grey, first, extractor),
         cache.make(_on_demand, thorough_features, grey, thorough, extractor),
+        p.pose,
     )
 
 

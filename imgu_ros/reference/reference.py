@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from imgu_ros.config.parameters import Parameters
 from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located
@@ -61,7 +60,6 @@ class Reference(ABC):
         found: ReferenceResult,
         located: Located,
         frame: Frame,
-        parameters: Parameters,
         check: CalibrationCheck | None = None,
     ) -> ReferenceResult:
         """Complete a result by homography, outline and, where it can be estimated, pose.
@@ -71,7 +69,6 @@ class Reference(ABC):
         found : what is known so far
         located : where the reference is in the frame
         frame : gives the camera
-        parameters : all parameters
         check : is asked whether it needs the residuals of the pose; None: they are computed
 
         Raises

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 
 import cv2
@@ -11,7 +12,14 @@ import numpy as np
 import pytest
 
 from imgu_ros.build_cache import BuildCache
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.components import ComponentParameters
+from imgu_ros.config.parameters import (
+    HomographyParameters,
+    Parameters,
+    PoseParameters,
+    PyramidParameters,
+    RefinementParameters,
+)
 from imgu_ros.config.values import parameters_from
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.errors import EstimationError
@@ -33,16 +41,27 @@ from imgu_ros.types import Image, Matrix3, Points
 CELLS, BORDER, CELL_PX = 8, 1, 30
 
 
+@dataclass(frozen=True, slots=True)
+class SquareMarkerParameters(ComponentParameters):
+    """The groups that the kind takes: a change of another parameter makes nothing anew."""
+
+    pyramid: PyramidParameters
+    homography: HomographyParameters
+    refinement: RefinementParameters
+    pose: PoseParameters
+
+
 class SquareMarker(Reference):
     """A black square on white with 4 x 4 cells of black and white in it."""
 
     kind = "square_marker"
 
-    def __init__(self, image: TargetImage, number: int, parameters: Parameters, cache: BuildCache) -> None:
+    def __init__(self, image: TargetImage, number: int, parameters: SquareMarkerParameters, cache: BuildCache) -> None:
         height, width = image.pixels.shape
         pyramids = cache.make(TemplatePyramids, image, (), parameters.pyramid.kernel)
         templates = cache.make(Templates, pyramids, parameters.refinement.max_points)
         super().__init__(image.name, number, Plane(width, height, image.width_m), templates)
+        self._pose_parameters = parameters.pose
         self.image = image
         self.code = cells_of(image.pixels)[2:-2, 2:-2]
         near, far = BORDER * CELL_PX - 0.5, (CELLS - BORDER) * CELL_PX - 0.5
@@ -56,16 +75,15 @@ class SquareMarker(Reference):
         found: ReferenceResult,
         located: Located,
         frame: Frame,
-        parameters: Parameters,
         check: CalibrationCheck | None = None,
     ) -> ReferenceResult:
-        return planar_pose(found, self.plane, located, frame, parameters.pose, check)
+        return planar_pose(found, self.plane, located, frame, self._pose_parameters, check)
 
 
 class SquareMarkerDetector:
     """Finds squares by their contours, names them by their code, and aligns their patches."""
 
-    def __init__(self, markers: Sequence[SquareMarker], parameters: Parameters, cache: BuildCache) -> None:
+    def __init__(self, markers: Sequence[SquareMarker], parameters: SquareMarkerParameters, cache: BuildCache) -> None:
         self._parameters = parameters
 
     def prepare(self) -> None:
@@ -97,7 +115,7 @@ class SquareMarkerDetector:
         H = cv2.getPerspectiveTransform(marker.square.astype(np.float32), corners.astype(np.float32))
         alignment = align_patches(context.image, marker, H, lens, p.refinement, p.homography.min_inliers, reach_px=4.0)
         found = ReferenceResult(marker.name, marker.number, Status.DETECTED)
-        return marker.pose(found, located(alignment), context.frame, p)
+        return marker.pose(found, located(alignment), context.frame)
 
 
 def squares_in(grey: Image) -> list[Points]:
@@ -135,13 +153,16 @@ def marker_image(code: int, width_m: float = 0.3) -> TargetImage:
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(KINDS, SquareMarker.kind, ReferenceKind(SquareMarker, SquareMarkerDetector))
+    monkeypatch.setitem(
+        KINDS, SquareMarker.kind, ReferenceKind(SquareMarkerParameters, SquareMarker, SquareMarkerDetector)
+    )
 
 
 def test_a_marker_is_detected_and_tracked() -> None:
     parameters, cache = Parameters(), BuildCache()
     images = [marker_image(0x2D47), marker_image(0x93A5)]
-    markers = [SquareMarker(image, number, parameters, cache) for number, image in enumerate(images)]
+    own = SquareMarkerParameters.of(parameters)
+    markers = [SquareMarker(image, number, own, cache) for number, image in enumerate(images)]
     localizer = Localizer(parameters, markers, cache)
     frames = islice(simulate_sequence(Simulation(width=640, height=480, frames=60, seed=3), images[:1]), 5)
     statuses = []
@@ -162,7 +183,7 @@ def test_kinds_are_detected_side_by_side() -> None:
     parameters, cache = parameters_from({"tracking.search_every": 1}), BuildCache()
     picture, marker = default_targets(1, seed=5)[0], marker_image(0x2D47, 0.5)
     planar = prepare_references([picture], parameters, cache)[0]
-    square = SquareMarker(marker, 1, parameters, cache)
+    square = SquareMarker(marker, 1, SquareMarkerParameters.of(parameters), cache)
     localizer = Localizer(parameters, [planar, square], cache)
     frames = [s.frame for s in islice(simulate_sequence(Simulation(640, 480, 60, seed=3), [picture, marker]), 5)]
     assert [result.status for result in localizer.process(frames[0])] == [Status.DETECTED] * 2

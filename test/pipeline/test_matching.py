@@ -81,7 +81,7 @@ def test_ssd_finds_a_target_of_unchanged_brightness(target_images: tuple[TargetI
 def test_senseless_parameters_are_refused_at_start(target_images: tuple[TargetImage, ...]) -> None:
     """Also when nobody made them by `parameters_from`, which refuses them itself."""
     parameters = replace(Parameters(), matching=MatchingParameters(metric="cosine"))
-    with pytest.raises(ParameterError, match=r"^matching.metric: 'cosine', and .+; need auto or hamming$"):
+    with pytest.raises(ParameterError, match=r"^matching.metric: 'cosine' conflicts .+; need auto or hamming$"):
         prepare_references(target_images[:1], parameters)
 
 

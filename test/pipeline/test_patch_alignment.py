@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from imgu_ros.config.parameters import DemosaicParameters, RawParameters
+from imgu_ros.config.parameters import DemosaicParameters, PoseParameters, RawParameters
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.reference.planar import PlanarReference
@@ -138,7 +138,7 @@ def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Refer
         LevelAlignment(
             pictures,
             0,
-            PlanarReference(0, target.image, blank, target.front, target.close, target.thorough),
+            PlanarReference(0, target.image, blank, target.front, target.close, target.thorough, PoseParameters()),
             H,
             None,
             EFFORT,

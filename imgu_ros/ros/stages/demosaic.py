@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from imgu_ros.config.components import DevelopmentParameters
+from imgu_ros.config.components import DevelopmentParameters, FeatureParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import plain_picture
 from imgu_ros.errors import ImguError
@@ -81,7 +81,7 @@ class DemosaicStage(PipelineStage):
         outputs.publish(result)
 
     def _publish_reduced(self, result: Result, pictures: FrameImage, outputs: Outputs) -> None:
-        reduced = plain_picture(pictures, self.parameters)
+        reduced = plain_picture(pictures, FeatureParameters.of(self.parameters))
         height, width = pictures.shape
         covered = Covered(*(int(side) for side in reduced.full_size))
         size = Covered(reduced.image.shape[1], reduced.image.shape[0])

@@ -11,6 +11,7 @@ import numpy as np
 from rclpy.node import Node
 
 from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.components import FeatureParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import Reduced, extracted_features, frame_pyramid
 from imgu_ros.errors import EncodingError, ImguError
@@ -46,12 +47,12 @@ class FeaturesStage(PipelineStage):
     takes = (_FIRST,)
     selection = TopicSelection(lambda topic: topic == "keypoints", {})
     _parts: BuildCache | None = None
-    _extractor: FeatureExtractor = DetectorDescriptor(extractor_options(Parameters()))
+    _extractor: FeatureExtractor = DetectorDescriptor(extractor_options(FeatureParameters.of(Parameters())))
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
         """See `PipelineStage.use`."""
         parts = BuildCache(self._parts)
-        extractor = parts.make(make_extractor, extractor_options(parameters))
+        extractor = parts.make(make_extractor, extractor_options(FeatureParameters.of(parameters)))
         super().use(parameters, images)
         parts.settle()
         self._parts, self._extractor = parts, extractor
@@ -66,7 +67,7 @@ class FeaturesStage(PipelineStage):
         if _FIRST not in messages:
             return False
         try:
-            count = _level_count(_picture(messages[_FIRST]).shape, self.parameters)
+            count = _level_count(_picture(messages[_FIRST]).shape, FeatureParameters.of(self.parameters))
         except ImguError:
             return True  # `work` raises the error
         return all(f"{LEVELS}{k}" in messages for k in range(count))
@@ -76,7 +77,7 @@ class FeaturesStage(PipelineStage):
         first = _picture(job.messages[_FIRST])
         size = Covered(first.shape[1], first.shape[0])
         shown = size if job.camera_info is None else decode_covered(job.camera_info, size)
-        count = _level_count(first.shape, self.parameters)
+        count = _level_count(first.shape, FeatureParameters.of(self.parameters))
         pictures = [first, *(_picture(job.messages[f"{LEVELS}{k}"]) for k in range(1, count))]
         full = np.array((shown.width, shown.height), np.float64)
         pyramid = Pyramid(tuple(Level(picture, full / np.array(picture.shape[1::-1])) for picture in pictures))
@@ -102,6 +103,6 @@ def _picture(message: Any) -> Image:
 
 
 @lru_cache(maxsize=8)
-def _level_count(shape: tuple[int, int], parameters: Parameters) -> int:
+def _level_count(shape: tuple[int, int], parameters: FeatureParameters) -> int:
     """Return how many levels `frame_pyramid` makes of an image of `shape`."""
     return len(frame_pyramid(Reduced(np.zeros(shape, np.uint8), np.array(shape[::-1])), parameters).levels)

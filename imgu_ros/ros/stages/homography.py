@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
+from imgu_ros.config.components import DetectionParameters
 from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
 from imgu_ros.detect.detector import while_promising
 from imgu_ros.detect.features import reduction_of
@@ -98,7 +99,7 @@ class HomographyStage(TargetStage):
                     continue
                 target = self.targets[number]
                 missing = ReferenceResult(target.name, number, Status.LOST, matches=matches)
-                rng = draws(self.parameters, header.stamp_ns, target)
+                rng = draws(self.parameters.seed, header.stamp_ns, target)
                 yield fit.locate(missing, target, rng, finish=finish)
 
         found = by_name(while_promising(sought()))
@@ -129,8 +130,8 @@ class HomographyStage(TargetStage):
             raise ImguError("frame: neither image_mono nor camera_info; need one of them, or camera.info_file")
         read = self.reading.camera(job.camera_info, (width, height))
         self.remarks = unusable(read) or read.remarks
-        frame, unit_px = frame_without_image(header, read), reduction_of((height, width), self.parameters).unit_px
-        return frame, RobustFit(frame, image, unit_px, self.parameters, clock)
+        parameters, frame = DetectionParameters.of(self.parameters), frame_without_image(header, read)
+        return frame, RobustFit(frame, image, reduction_of((height, width), parameters).unit_px, parameters, clock)
 
 
 def _agreeing(place: Located) -> ReferenceMatches:

@@ -9,6 +9,7 @@ import numpy as np
 from rclpy.node import Node
 
 from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.components import DetectionParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import ReferenceDetector
 from imgu_ros.errors import EncodingError
@@ -47,7 +48,7 @@ class MatcherStage(TargetStage):
         return StageTopics((cloud_feed(node, _IN),))
 
     def _prepare(self, parameters: Parameters, parts: BuildCache) -> None:
-        self._seeker = ReferenceDetector(self._planar(), parameters, parts)
+        self._seeker = ReferenceDetector(self._planar(), DetectionParameters.of(parameters), parts)
 
     def _planar(self) -> list[PlanarReference]:
         return [each for each in self.targets if isinstance(each, PlanarReference)]

@@ -118,6 +118,6 @@ class PoseStage(TargetStage):
         place = Located(matches.template_xy, matches.image_xy, estimates[number], halvings=int(number not in sharp))
         found = ReferenceResult(target.name, number, Status.DETECTED, matches=matches)
         try:
-            return target.pose(found, place, frame, self.parameters)
+            return target.pose(found, place, frame)
         except EstimationError as error:
             return ReferenceResult(target.name, number, Status.DEGENERATE, reason=no_pose(error), matches=matches)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from rclpy.node import Node
 
+from imgu_ros.config.components import FeatureParameters
 from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
 from imgu_ros.detect.features import Reduced, frame_pyramid, reduced_picture
 from imgu_ros.image.frame_image import develop
@@ -54,9 +55,10 @@ class PyramidStage(PipelineStage):
         height, width = developed.shape
         size = Covered(width, height)
         shown = size if job.camera_info is None else decode_covered(job.camera_info, size)
-        base = reduced_picture(developed, self.parameters)
+        parameters = FeatureParameters.of(self.parameters)
+        base = reduced_picture(developed, parameters)
         full_size = base.full_size * (shown.width, shown.height) / (width, height)
-        pyramid = frame_pyramid(Reduced(base.image, full_size), self.parameters)
+        pyramid = frame_pyramid(Reduced(base.image, full_size), parameters)
         result = Result(frame, {}, developed=developed, pyramid=pyramid)
         header = result_header(result)
         covered = Covered(*np.rint(full_size).astype(int).tolist())
