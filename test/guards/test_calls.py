@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(159, 22, 74, {5: 1089, 4: 1101}),
-    "empty": Limit(3875, 51, 1670, {5: 24921, 4: 26252}),
+    "tracked": Limit(150, 16, 62, {5: 1064, 4: 1076}),
+    "empty": Limit(3867, 47, 1657, {5: 24896, 4: 26227}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 
