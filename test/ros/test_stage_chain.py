@@ -326,3 +326,16 @@ def test_a_file_of_a_binned_camera_tells_the_size_of_the_image(tmp_path: Path) -
     assert read is not None, six.located.result.frame.camera_reason
     assert (read.width, read.height) == (camera.width, camera.height)
     assert_allclose(read.K, camera.K, atol=1e-9)
+
+
+def test_every_output_has_the_cameras_frame_of_the_parameters() -> None:
+    """Stages pair messages by frame_id: one that is renamed in one output and not in another would never pair."""
+    images, frames = sequence(1, 1)
+    six = Six(parameters_from(OFF | {"frames.camera": "lens"}), images)
+    six.work(frames[0])
+    others = {topic: message for topic, message in six.known.items() if topic != "image_raw"}
+    of_target = {topic for topic in others if topic.rpartition("/")[2] in ("odom", "path")}
+    assert {REDUCED, REDUCED_INFO, LEVELS_INFO, INLIERS, "matches", "image_mono", "homography"} <= others.keys()
+    assert {
+        topic: message.header.frame_id for topic, message in others.items() if topic not in of_target
+    } == dict.fromkeys(others.keys() - of_target, "lens")

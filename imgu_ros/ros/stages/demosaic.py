@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rclpy.node import Node
 
@@ -69,6 +70,7 @@ class DemosaicStage(PipelineStage):
             self._headers.add_camera_info(job.camera_info)
         self.remarks = tuple(self._headers.told(p.frames.camera, lately=True).values())
         frame = self.reading.frame(job.messages[_IN], job.camera_info)
+        frame = replace(frame, frame_id=p.frames.camera or frame.frame_id)
         if frame.image.remark:
             self.remarks += (frame.image.remark,)
         development = develop_frame(frame, DevelopmentParameters.of(p))

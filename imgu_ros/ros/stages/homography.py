@@ -82,7 +82,7 @@ class HomographyStage(TargetStage):
 
     def work(self, job: FrameMessages, outputs: Outputs) -> None:
         """See `PipelineStage.work`."""
-        header = decode_header(job.messages[_MATCHES])
+        header = self.named(decode_header(job.messages[_MATCHES]))
         tentative = decode_target_matches(job.messages[_MATCHES])
         clock = StageClock()
         frame, fit = self._robust_fit(job, header, clock)

@@ -60,7 +60,7 @@ class PyramidStage(PipelineStage):
         full_size = base.full_size * (shown.width, shown.height) / (width, height)
         pyramid = frame_pyramid(Reduced(base.image, full_size), parameters)
         result = Result(frame, {}, developed=developed, pyramid=pyramid)
-        header = result_header(result)
+        header = self.named(result_header(result))
         covered = Covered(*np.rint(full_size).astype(int).tolist())
         level = Covered(base.image.shape[1], base.image.shape[0])
         if job.camera_info is None:

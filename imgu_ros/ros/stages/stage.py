@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -90,6 +91,11 @@ class PipelineStage(ABC):
 
     def reset(self) -> None:  # noqa: B027
         """Drop the state of earlier frames: most stages have none."""
+
+    def named(self, header: Header) -> Header:
+        """Return a header with the camera's frame_id of this node's parameters, as every output has it."""
+        name = self.parameters.frames.camera
+        return replace(header, frame_id=name) if name else header
 
     def _reading_for(self, parameters: Parameters) -> FrameReading:
         wanted = ReadingParameters.of(parameters)
