@@ -21,7 +21,7 @@ from launch import LaunchDescription
 SHARED = (
     ("image", "image_raw", "image topic within each camera's namespace"),
     ("transport", "", "raw, or compressed; empty: as params_file says"),
-    ("target", "", "picture file of the target"),
+    ("target", "", "image file of the target"),
     ("width_m", "0.0", "printed width of the target, m"),
     ("params_file", "", "parameter file for all of them"),
     ("publish_tf", "", "true: camera -> target on /tf; empty: as params_file says"),

@@ -25,18 +25,18 @@ from launch import LaunchDescription
 ARGUMENTS = (
     ("namespace", "", "namespace of the node and of its topics"),
     ("name", "perception", "name of the node"),
-    ("image", "image_raw", "image topic; camera_info is taken from beside it"),
+    ("image", "image_raw", "image topic; camera_info is in the same namespace"),
     ("camera_info", "", "camera_info topic, if it is not beside the image topic"),
     ("transport", "", "raw, or compressed: then <image>/compressed is read; empty: as params_file says"),
-    ("target", "", "picture file of the target"),
+    ("target", "", "image file of the target"),
     ("width_m", "0.0", "printed width of the target, m; 0: unknown, and no metric pose"),
     ("params_file", "", "parameter file; the other arguments come after it"),
     ("publish_tf", "", "true: camera -> target, and map -> root with targets.poses; empty: as params_file says"),
-    ("target_prefix", "", "put before the targets' names to make their frames; empty: as params_file says"),
+    ("target_prefix", "", "prefix of the targets' frame names; empty: as params_file says"),
     ("use_sim_time", "", "true: time comes from /clock; empty: as params_file says"),
     ("large_images", "true", "false: without the DDS profile for large images, which the node sets for itself"),
     ("log_level", "info", "debug, info, warn, error"),
-    ("rviz", "false", "true: start RViz, too"),
+    ("rviz", "false", "true: start RViz too"),
     ("fixed_frame", "", "RViz's fixed frame; empty: the target's, or the map"),
 )  # fmt: skip
 

@@ -23,7 +23,7 @@ SHARED = (
     ("image", "image_raw", "image topic in the bag"),
     ("camera_info", "", "camera_info topic in the bag, if it is not beside the image topic"),
     ("transport", "", "raw, or compressed; empty: as params_file says"),
-    ("target", "", "picture file of the target"),
+    ("target", "", "image file of the target"),
     ("width_m", "0.0", "printed width of the target, m"),
     ("params_file", "", "parameter file"),
     ("publish_tf", "", "true: camera -> target on /tf; empty: as params_file says"),
