@@ -25,7 +25,7 @@ from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_detectors, prepare_references
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, StageClock, Status, by_name
 from imgu_ros.track.patch_alignment import PatchAlignment
-from imgu_ros.track.tracker import follow, located
+from imgu_ros.track.tracker import follow
 from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.matching.matches import Matches
 
@@ -154,8 +154,7 @@ class Localizer:
             except EstimationError:
                 continue
             with context.clock.measures(Stage.POSE):
-                place = located(alignment)
-                found[name] = reference.pose(_tracked(reference, alignment), place, frame, memory.calibration)
+                found[name] = reference.pose(_tracked(reference, alignment), alignment, frame, memory.calibration)
         return found
 
     def _detect(

@@ -130,13 +130,7 @@ class RobustFit:
                 with clock.measures(Stage.REFINE):
                     aligned = self._aligned(reference, self._image, H)
                 if aligned is not None:
-                    located = Located(
-                        aligned.template_xy,
-                        aligned.image_xy,
-                        aligned.homography,
-                        aligned.normal_equations,
-                        aligned.halvings,
-                    )
+                    located = aligned
                     share = aligned.agreeing_share
                     is_confirmed = share >= _CONFIRMING_SHARE
             with clock.measures(Stage.HOMOGRAPHY):

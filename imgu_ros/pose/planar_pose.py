@@ -28,20 +28,20 @@ _MIN_AREA_PX = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
-    """Where a target is.
+    """Where a reference is in a frame.
 
     Attributes
     ----------
     template_xy, image_xy : (N, 2) correspondences without outliers, template px and raw px
     homography : H_image_template in ideal px
-    condensed : all that the correspondences tell; None: not condensed
-    halvings : of the picture that they were seen in; 0: full resolution
+    normal_equations : of the correspondences; None: not computed
+    halvings : of the level of the frame in which they were found; 0: full resolution
     """
 
     template_xy: Points
     image_xy: Points
     homography: HomographyEstimate
-    condensed: HomographyNormalEquations | None = None
+    normal_equations: HomographyNormalEquations | None = None
     halvings: int = 0
 
 
@@ -97,10 +97,10 @@ def planar_pose(
     if plane.width_m == 0:
         return replace(found, pose_status=PoseStatus.NO_SIZE, reason=NO_SIZE)
     try:
-        if located.condensed is not None and found.outline is not None:
+        if located.normal_equations is not None and found.outline is not None:
             asked = check is None or camera.covariance is not None or check.wants(camera, found.name, found.outline)
             poses = poses_of_homography_unchecked(
-                located.condensed,
+                located.normal_equations,
                 camera.K,
                 plane.metres_from_template,
                 camera if asked else None,

@@ -12,7 +12,7 @@ import numpy as np
 from imgu_ros.config.parameters import RefinementParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import seen_outline
+from imgu_ros.pose.planar_pose import Located, seen_outline
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TemplateOctave
 from imgu_ros.types import Image, Indices, Matrix3, Points
@@ -20,11 +20,7 @@ from imgu_ros.vision.camera.distortion import distort
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.matching.patch_atlas import LONGEST_PX, PatchAtlas
 from imgu_ros.vision.matching.patch_bank import LocalDistortion, PatchBank
-from imgu_ros.vision.projective.homography import (
-    HomographyEstimate,
-    HomographyNormalEquations,
-    homography_normal_equations_unchecked,
-)
+from imgu_ros.vision.projective.homography import homography_normal_equations_unchecked
 from imgu_ros.vision.projective.plane_motion import BlurGain, Motion
 from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
@@ -110,26 +106,17 @@ class AlignmentOptions:
     enough_px: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PatchAlignment:
-    """A reference found in a frame by the alignment of its patches.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PatchAlignment(Located):
+    """Where the alignment of its patches found a reference; the correspondences are those of the patches that agree.
 
     Attributes
     ----------
-    template_xy, image_xy : (N, 2) correspondences of the patches that agree, template px and raw px
-    homography : H_image_template in ideal px
-    normal_equations : of the correspondences, all of them inliers
     sought : number of patches that were aligned
-    halvings : of the finest level in which they agree; 0: full resolution
-    agreeing_share : share of the patches that agree, 0 to 1
+    agreeing_share : share of them that agree, 0 to 1
     """
 
-    template_xy: Points
-    image_xy: Points
-    homography: HomographyEstimate
-    normal_equations: HomographyNormalEquations
     sought: int
-    halvings: int
     agreeing_share: float
 
 
@@ -338,7 +325,15 @@ class LevelAlignment:
         if self._camera is not None:
             image_xy = self._camera.raw_pixels(image_xy)
         share = len(template_xy) / self.sought
-        return PatchAlignment(template_xy, image_xy, homography, normal_equations, self.sought, self.halvings, share)
+        return PatchAlignment(
+            template_xy,
+            image_xy,
+            homography,
+            normal_equations,
+            self.halvings,
+            sought=self.sought,
+            agreeing_share=share,
+        )
 
     def _distortion(self, camera: Camera, straight: Points) -> LocalDistortion:
         """Return the lens distortion of the level about ideal points, (N, 2) px of the level."""

@@ -14,7 +14,7 @@ import numpy as np
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import Located, distorting_camera, require_plausible
+from imgu_ros.pose.planar_pose import distorting_camera, require_plausible
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
 from imgu_ros.track.patch_alignment import PatchAlignment, align_patches
@@ -98,12 +98,6 @@ def follow(
         else:
             return alignment
     raise NoConsensus(reason)
-
-
-def located(alignment: PatchAlignment) -> Located:
-    """Return where an alignment found the reference."""
-    a = alignment
-    return Located(a.template_xy, a.image_xy, a.homography, a.normal_equations, a.halvings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

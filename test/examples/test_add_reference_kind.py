@@ -35,7 +35,6 @@ from imgu_ros.result import ReferenceResult, Status
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track.patch_alignment import align_patches
-from imgu_ros.track.tracker import located
 from imgu_ros.types import Image, Matrix3, Points
 
 CELLS, BORDER, CELL_PX = 8, 1, 30
@@ -115,7 +114,7 @@ class SquareMarkerDetector:
         H = cv2.getPerspectiveTransform(marker.square.astype(np.float32), corners.astype(np.float32))
         alignment = align_patches(context.image, marker, H, lens, p.refinement, p.homography.min_inliers, reach_px=4.0)
         found = ReferenceResult(marker.name, marker.number, Status.DETECTED)
-        return marker.pose(found, located(alignment), context.frame)
+        return marker.pose(found, alignment, context.frame)
 
 
 def squares_in(grey: Image) -> list[Points]:

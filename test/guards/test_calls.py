@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(150, 16, 62, {5: 1064, 4: 1076}),
-    "empty": Limit(3867, 47, 1657, {5: 24896, 4: 26227}),
+    "tracked": Limit(148, 16, 60, {5: 1062, 4: 1074}),
+    "empty": Limit(3867, 48, 1658, {5: 24896, 4: 26227}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

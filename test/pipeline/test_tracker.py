@@ -21,7 +21,7 @@ from imgu_ros.simulate.trials import Trial, known_targets, trial_frames
 from imgu_ros.simulate.truth import corner_error
 from imgu_ros.track import tracker as tracking
 from imgu_ros.track.patch_alignment import PatchAlignment
-from imgu_ros.track.tracker import Observation, Track, follow, located
+from imgu_ros.track.tracker import Observation, Track, follow
 from imgu_ros.types import Image, Matrix3
 from imgu_ros.vision.camera.rotation import log_so3
 from imgu_ros.vision.formation.layout import RawImage
@@ -61,9 +61,8 @@ def test_a_sequence_is_followed(one_target_frames: tuple[SimulatedFrame, ...], t
     for frame in one_target_frames[1:]:
         found = followed(frame, target, track)
         assert corner_error(found.homography.H, frame.truths[0].H, target.size, SIZE) < 0.05
-        place = located(found)
-        assert place.homography is found.homography and place.condensed is found.normal_equations
-        assert len(place.template_xy) == len(place.image_xy) == np.count_nonzero(found.homography.inliers)
+        assert found.normal_equations is not None and found.homography is found.normal_equations.estimate
+        assert len(found.template_xy) == len(found.image_xy) == np.count_nonzero(found.homography.inliers)
         track = track.continued(target, found.homography.H, frame.frame.stamp_ns)
     assert min(track.errors_px) < 10
 
