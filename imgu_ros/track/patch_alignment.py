@@ -121,8 +121,8 @@ class PatchAlignment(Located):
 
 
 def align_patches(
-    pictures: FrameImage,
-    target: Reference,
+    frame: FrameImage,
+    reference: Reference,
     H: Matrix3,
     camera: Camera | None,
     parameters: RefinementParameters,
@@ -135,8 +135,8 @@ def align_patches(
 
     Parameters
     ----------
-    pictures : the frame's
-    target : the reference
+    frame : the frame's image
+    reference : whose templates are aligned
     H : H_image_template in ideal px (raw px without a distorted camera)
     camera : intrinsics when the lens distorts; else None
     parameters : number and size of the patches
@@ -150,10 +150,10 @@ def align_patches(
     """
     found: LevelAlignment | None = None
     failure: EstimationError | None = None
-    for halvings in [*range(_first_halvings(pictures, target, H, reach_px), 0, -_STRIDE), 0]:
+    for halvings in [*range(_first_halvings(frame, reference, H, reach_px), 0, -_STRIDE), 0]:
         try:
             options = _options(parameters, min_points, for_result=halvings == 0)
-            found = LevelAlignment(pictures, halvings, target, found.H if found else H, camera, options)
+            found = LevelAlignment(frame, halvings, reference, found.H if found else H, camera, options)
         except EstimationError as error:
             # Its traceback holds this function's variables, which hold the error: the frame would stay in memory.
             failure = error.with_traceback(None)
@@ -161,7 +161,7 @@ def align_patches(
             if found is not None:
                 break
     if found is not None and found.halvings == 0 and found.gain < _BLURRED:
-        found = _reduced_instead(pictures, target, found, camera, _options(parameters, min_points, for_result=True))
+        found = _reduced_instead(frame, reference, found, camera, _options(parameters, min_points, for_result=True))
     if found is None or (found.halvings > 0 and not _stands_alone(found)):
         try:
             raise failure or NoConsensus("patches: not found")
@@ -177,8 +177,8 @@ class LevelAlignment:
 
     Parameters
     ----------
-    pictures, halvings : the frame, halved so many times
-    target : the reference
+    frame, halvings : the frame's image, halved so many times
+    reference : whose templates are aligned
     H : H_image_template in ideal px, right to some px of the level
     camera : intrinsics when the lens distorts; else None
     options : limits
@@ -200,18 +200,18 @@ class LevelAlignment:
 
     def __init__(
         self,
-        pictures: FrameImage,
+        frame: FrameImage,
         halvings: int,
-        target: Reference,
+        reference: Reference,
         H: Matrix3,
         camera: Camera | None,
         options: AlignmentOptions,
     ) -> None:
         self.halvings, self._camera, self._scaling = halvings, camera, _HALVED[halvings]
-        self._level = _nearest_level(target, pictures.is_linear, H, 0.5**halvings)
+        self._level = _nearest_level(reference, frame.is_linear, H, 0.5**halvings)
         bank = self._level.patches[options.window_px]
         self._template_xy = bank.template_xy
-        height, width = pictures.shape
+        height, width = frame.shape
         shape = (height >> halvings, width >> halvings)
         image_from_bank = self._scaling.reduced_from_full @ H @ self._level.scaling.full_from_reduced
         chosen, xy = self._in_view(bank, image_from_bank, shape, options)
@@ -223,7 +223,7 @@ class LevelAlignment:
         if halvings == 0:
             window_px = options.window_px * (1.0 if camera is None else _MOST_STRETCHED)
             atlas = _atlas_of(xy, self._patches.bounds, image_from_bank, shape, window_px)
-        image = pictures.halved(halvings) if atlas is None else pictures.cut(atlas)
+        image = frame.halved(halvings) if atlas is None else frame.cut(atlas)
         self._align(image, atlas, image_from_bank, options)
 
     def _in_view(
@@ -353,28 +353,28 @@ def _options(parameters: RefinementParameters, min_points: int, for_result: bool
     return AlignmentOptions(parameters.window_px, most, min_points, _COARSE_STEPS, _COARSE_ENOUGH_PX)
 
 
-def _first_halvings(pictures: FrameImage, target: Reference, H: Matrix3, reach_px: float) -> int:
+def _first_halvings(frame: FrameImage, reference: Reference, H: Matrix3, reach_px: float) -> int:
     """Return how often to halve the frame so that patches bridge `reach_px`, and the reference is not too small."""
     wanted = math.ceil(math.log2(max(reach_px / _REACH_PX, 1.0)))
     if wanted == 0:
         return 0
-    height, width = pictures.shape
+    height, width = frame.shape
     try:
-        extent = np.ptp(np.clip(seen_outline(target.plane, H), 0, (width, height)), axis=0)
+        extent = np.ptp(np.clip(seen_outline(reference.plane, H), 0, (width, height)), axis=0)
     except DegenerateConfiguration:
         extent = np.array((width, height))
     side = math.sqrt(float(extent[0] * extent[1]))
     possible = math.floor(math.log2(max(side / _COARSEST_SIDE_PX, 1.0)))
-    return min(wanted, possible, pictures.most_halvings)
+    return min(wanted, possible, frame.most_halvings)
 
 
 def _reduced_instead(
-    pictures: FrameImage, target: Reference, found: LevelAlignment, camera: Camera | None, options: AlignmentOptions
+    frame: FrameImage, reference: Reference, found: LevelAlignment, camera: Camera | None, options: AlignmentOptions
 ) -> LevelAlignment:
     """Return the alignment with the finest level that is as sharp as the reference there."""
-    for halvings in range(1, min(_COARSEST_RESULT, pictures.most_halvings) + 1):
+    for halvings in range(1, min(_COARSEST_RESULT, frame.most_halvings) + 1):
         try:
-            reduced = LevelAlignment(pictures, halvings, target, found.H, camera, options)
+            reduced = LevelAlignment(frame, halvings, reference, found.H, camera, options)
         except EstimationError:
             break
         if not _stands_alone(reduced):
@@ -390,19 +390,19 @@ def _stands_alone(found: LevelAlignment) -> bool:
     return found.halvings <= _COARSEST_RESULT and found.converged and found.agreeing >= _COARSE_SHARE * found.sought
 
 
-def _nearest_level(target: Reference, linear: bool, H: Matrix3, scale: float) -> TemplateOctave:
+def _nearest_level(reference: Reference, linear: bool, H: Matrix3, scale: float) -> TemplateOctave:
     """Return the reference's level with patches whose pixels are nearest in size to those of the frame's level.
 
     EstimationError if no level has a patch, or H maps the reference's centre to infinity.
     """
-    width, height = target.size
+    width, height = reference.size
     g, h, i = H[2].tolist()
     w = g * ((width - 1) / 2) + h * ((height - 1) / 2) + i
     if not 0 < abs(w) < math.inf:
         raise DegenerateConfiguration("H: it maps the reference's centre to infinity")
     # The determinant of the local Jacobian there is the scale of areas.
     pixels = max(math.sqrt(abs(cv2.determinant(H) / (w * w * w))) * scale, 1e-9)
-    levels = target.templates[linear]
+    levels = reference.templates[linear]
     distances = [abs(math.log(level.scale * pixels)) for level in levels]
     for index in sorted(range(len(levels)), key=distances.__getitem__):
         if len(levels[index].corners):

@@ -26,14 +26,14 @@ _MIN_SIMILARITY = 0.3
 
 
 def shifted_homography(
-    pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None, reach_px: float
+    frame: FrameImage, reference: Reference, H: Matrix3, camera: Camera | None, reach_px: float
 ) -> Matrix3:
     """Move a homography by the shift in the reference's plane at which the frame is most similar to the reference.
 
     Parameters
     ----------
-    pictures : the frame's
-    target : the reference
+    frame : the frame's image
+    reference : whose templates are compared
     H : H_image_template in ideal px, correct but for a shift
     camera : intrinsics when the lens distorts; else None
     reach_px : longest shift, raw px
@@ -47,14 +47,14 @@ def shifted_homography(
     NoConsensus
         If nothing within `reach_px` is similar to the reference.
     """
-    octave = _small(target.templates[pictures.is_linear])
+    octave = _small(reference.templates[frame.is_linear])
     image = octave.level.image
     height, width = image.shape
     frame_from_octave = H @ octave.scaling.full_from_reduced
     centre = np.array([[(width - 1) / 2, (height - 1) / 2]])
     pixel = math.sqrt(abs(float(np.linalg.det(local_jacobian(frame_from_octave, centre)[0]))))
-    halvings = min(max(round(math.log2(max(pixel, 1e-9))), 0), pictures.most_halvings)
-    picture = pictures.halved(halvings)
+    halvings = min(max(round(math.log2(max(pixel, 1e-9))), 0), frame.most_halvings)
+    halved = frame.halved(halvings)
     # No farther than the reference's own size: the perspective is another one there.
     room_x, room_y = (min(math.ceil(reach_px / pixel) + 1, side) for side in (width, height))
     x, y = np.meshgrid(np.arange(-room_x, width + room_x), np.arange(-room_y, height + room_y))
@@ -63,12 +63,12 @@ def shifted_homography(
     xy = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
     if camera is not None:
         # The lens model is valid near the image only.
-        beyond = 2 * max(pictures.shape)
+        beyond = 2 * max(frame.shape)
         xy = camera.raw_pixels(np.clip(xy, -beyond, beyond))
     places = np.clip(PixelScaling(2.0**halvings).from_full_unchecked(xy), -30000, 30000).astype(np.float32)
     places[~ahead] = -30000
     seen = cv2.remap(
-        picture,
+        halved,
         places[:, 0].reshape(x.shape),
         places[:, 1].reshape(x.shape),
         cv2.INTER_LINEAR,

@@ -53,14 +53,14 @@ _MEMORY = 0.5
 
 
 def follow(
-    target: Reference, track: Track, pictures: FrameImage, stamp_ns: int, camera: Camera | None, parameters: Parameters
+    reference: Reference, track: Track, frame: FrameImage, stamp_ns: int, camera: Camera | None, parameters: Parameters
 ) -> PatchAlignment:
     """Find a reference where its track leads.
 
     Parameters
     ----------
-    target, track : the reference, and its last observations
-    pictures, stamp_ns : the frame's
+    reference, track : the reference, and its last observations
+    frame, stamp_ns : the frame's image and time
     camera : intrinsics, or None
     parameters : all parameters
 
@@ -71,12 +71,12 @@ def follow(
     """
     reason = "track: lost"
     lens = distorting_camera(camera)
-    for start in _starts(track, target, stamp_ns, pictures.shape[1]):
+    for start in _starts(track, reference, stamp_ns, frame.shape[1]):
         try:
-            H = shifted_homography(pictures, target, start.H, lens, start.shift_px) if start.shift_px else start.H
+            H = shifted_homography(frame, reference, start.H, lens, start.shift_px) if start.shift_px else start.H
             alignment = align_patches(
-                pictures,
-                target,
+                frame,
+                reference,
                 H,
                 lens,
                 parameters.refinement,
@@ -89,10 +89,10 @@ def follow(
                     f"track: {len(alignment.template_xy)} of {alignment.sought} patches agree, rms {rms_px:.2f} px; "
                     f"need {_HELD_SHARE:.0%} and {_HELD_RMS_PX:g} px"
                 )
-            require_plausible(target.plane, alignment.homography)
+            require_plausible(reference.plane, alignment.homography)
             if alignment.halvings:
                 # Coarse patches agree by chance sooner: the whole reference is compared, too.
-                require_confirmed(pictures, target, alignment.homography.H, lens)
+                require_confirmed(frame, reference, alignment.homography.H, lens)
         except EstimationError as error:
             reason = str(error)
         else:
@@ -109,9 +109,9 @@ class _Start:
     shift_px: float = 0.0
 
 
-def _starts(track: Track, target: Reference, stamp_ns: int, width: int) -> Iterator[_Start]:
+def _starts(track: Track, reference: Reference, stamp_ns: int, width: int) -> Iterator[_Start]:
     """Yield starts: the prediction, the same with larger errors, then the last observation, each also with a shift."""
-    expected, last = track.expected(target, stamp_ns), track.last.H
+    expected, last = track.expected(reference, stamp_ns), track.last.H
     reach = _UNKNOWN_REACH_PX
     if expected.error_px is not None:
         reach = min(max(_SURPRISE * expected.error_px, _LEAST_REACH_PX), reach)
@@ -171,13 +171,13 @@ class Track:
         self._hypotheses: list[Matrix3] = []
         self._growth: tuple[float, ...] = ()
 
-    def continued(self, target: Reference, H: Matrix3, stamp_ns: int) -> Track:
+    def continued(self, reference: Reference, H: Matrix3, stamp_ns: int) -> Track:
         """Return the track with one more observation."""
         observations = (Observation(H, stamp_ns), *self.observations)
         if len(self.observations) == 1:
             return Track(observations)
-        self._predict(target, stamp_ns)
-        xy = _corners(np.array((H, *self._hypotheses)), target)
+        self._predict(reference, stamp_ns)
+        xy = _corners(np.array((H, *self._hypotheses)), reference)
         away = xy[1:] - xy[0]
         distances = np.sqrt((away**2).sum(axis=1).max(axis=1)).tolist()
         # As they would have been after an interval as long as the one before.
@@ -186,9 +186,9 @@ class Track:
         before = [*self.errors_px, 0.0, 0.0, 0.0][: len(errors)]
         return Track(observations, [max(new, _MEMORY * old) for new, old in zip(errors, before, strict=True)])
 
-    def expected(self, target: Reference, stamp_ns: int) -> Prediction:
+    def expected(self, reference: Reference, stamp_ns: int) -> Prediction:
         """Return where the reference is expected at a time."""
-        self._predict(target, stamp_ns)
+        self._predict(reference, stamp_ns)
         hypotheses = self._hypotheses
         if not self.errors_px:
             return Prediction(hypotheses[min(1, len(hypotheses) - 1)], None)
@@ -196,7 +196,7 @@ class Track:
         best = errors.index(min(errors))
         return Prediction(hypotheses[best], errors[best])
 
-    def _predict(self, target: Reference, stamp_ns: int) -> None:
+    def _predict(self, reference: Reference, stamp_ns: int) -> None:
         """Extrapolate the observations to a time, by each hypothesis."""
         if self._predicted_ns == stamp_ns:
             return
@@ -211,8 +211,8 @@ class Track:
                 known = known[:2]
             is_even = abs(later - 1) <= _SAME and (len(known) < 3 or abs(before - 1) <= _SAME)
             with contextlib.suppress(DegenerateConfiguration):
-                extrapolated = _evenly(known) if is_even else _unevenly(known, stamp_ns, target)
-                outline = target.outline_homogeneous
+                extrapolated = _evenly(known) if is_even else _unevenly(known, stamp_ns, reference)
+                outline = reference.outline_homogeneous
                 for H in extrapolated:
                     size = math.sqrt(float(np.vdot(H, H)))
                     # Only views of the reference's front.
@@ -247,7 +247,7 @@ def _evenly(observations: Sequence[Observation]) -> list[Matrix3]:
     return extrapolated
 
 
-def _unevenly(observations: Sequence[Observation], stamp_ns: int, target: Reference) -> list[Matrix3]:
+def _unevenly(observations: Sequence[Observation], stamp_ns: int, reference: Reference) -> list[Matrix3]:
     """Return the same when intervals differ, by the logarithm of the motion: a velocity times a time.
 
     Raises
@@ -256,7 +256,7 @@ def _unevenly(observations: Sequence[Observation], stamp_ns: int, target: Refere
         If a motion has no logarithm: it turns the image by half a circle, or is no motion.
     """
     # The similarity of the image that centres the corners and makes their mean distance from the centre a unit.
-    corners = _corners(observations[0].H[None], target)[0]
+    corners = _corners(observations[0].H[None], reference)[0]
     x, y = corners.mean(axis=1)
     scale = 1 / max(float(np.hypot(corners[0] - x, corners[1] - y).mean()), _SMALLEST_PX)
     to_unit = np.array([[scale, 0, -scale * x], [0, scale, -scale * y], [0, 0, 1]])
@@ -285,7 +285,7 @@ def _velocity(later: Observation, earlier: Observation, to_unit: Matrix3) -> Mat
     return logarithm(motion) / (later.stamp_ns - earlier.stamp_ns)
 
 
-def _corners(homographies: Floats, target: Reference) -> Floats:
+def _corners(homographies: Floats, reference: Reference) -> Floats:
     """Return the outline's corners as homographies (N, 3, 3) map them, (N, 2, 4)."""
-    mapped = homographies @ target.outline_homogeneous
+    mapped = homographies @ reference.outline_homogeneous
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
