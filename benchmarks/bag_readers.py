@@ -16,6 +16,7 @@ import argparse
 import importlib.util
 import json
 import multiprocessing
+import os
 import resource
 import tempfile
 import time
@@ -37,6 +38,8 @@ from imgu_ros.bags.reading import open_bag
 from imgu_ros.errors import ImguError
 
 _MOST_SECONDS, _MOST_MB = 10.0, 1500.0
+#: Seconds after which a process that uses no processor counts as waiting for ever.
+_MOST_WAIT = 60.0
 _ADDRESS_SPACE = 6 * 2**30
 Message = tuple[str, int, Any]
 Reader = Callable[[Path], Iterable[Message]]
@@ -114,6 +117,15 @@ def _status_mb(name: str) -> float:
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(f"{name}:"))
 
 
+def _cpu_seconds(pid: int) -> float:
+    """Return the processor time of a process; 0 when it has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def _read(reader: str, path: Path, passes: int, answers: Any) -> None:
     """Read in this process, which ends with it; put what came of it."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
@@ -141,14 +153,19 @@ def _read(reader: str, path: Path, passes: int, answers: Any) -> None:
 
 
 def read(reader: str, path: Path, passes: int = 1) -> dict[str, Any]:
-    """Read a file in a process of its own, which is ended after four times the bound."""
+    """Read a file in a process of its own, which is ended when it takes too much processor time, or waits."""
     receiving, sending = multiprocessing.Pipe(duplex=False)
     process = multiprocessing.get_context("fork").Process(target=_read, args=(reader, path, passes, sending))
     process.start()
     sending.close()
     answer: dict[str, Any] = {"messages": 0, "error": "ended", "is_expected": False, "cpu_s": 999.0, "peak_mb": 0.0}
+    begin = time.monotonic()
     try:
-        if receiving.poll(240 if passes > 1 else 4 * _MOST_SECONDS):
+        while not receiving.poll(0.5):
+            used, waited = _cpu_seconds(process.pid or 0), time.monotonic() - begin
+            if used > 4 * _MOST_SECONDS * passes or (waited > _MOST_WAIT and used < 1):
+                break
+        else:
             answer = receiving.recv()
     except EOFError:
         answer["error"] = "the process died"
