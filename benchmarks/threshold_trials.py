@@ -642,7 +642,7 @@ def _by_prosac(src: Floats, dst: Floats, seed: int) -> Iterator[HomographyEstima
 
 def chance(quick: bool) -> Run:
     """Random pairs: share that is taken for a plane, over the share that is asked for (at most 1 is wanted)."""
-    asked, runs = 0.1, 4 if quick else 25
+    asked, runs = 0.1, 4 if quick else 8
     cases = [
         (count, extent, threshold, seed)
         for count in ((12, 50) if quick else (8, 12, 20, 50))

@@ -303,7 +303,7 @@ STUDIES = {
         {"many_on_line": (5, 20), "fewest_off_line": (3, 10), "min_aspect": (0.005, 0.01, 0.05)},
     ),
     "prosac": Study(trials.prosac, {"support": (0, 4, 20)}),
-    "chance": Study(trials.chance, {"nearby": (1.0, 10.0), "wider": (1.0, 4.0)}),
+    "chance": Study(trials.chance, {"nearby": (0.1, 1.0, 10.0), "wider": (0.5, 1.0, 4.0)}),
     "calibration": Study(
         trials.calibration,
         {

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import io
+import json
 import re
 import tokenize
 from collections.abc import Iterator
@@ -22,6 +23,10 @@ ROOMS = (
     "detect", "image", "localizer.py", "pose", "reference", "track",
     "vision/camera", "vision/estimation", "vision/matching", "vision/projective",
 )  # fmt: skip
+#: Constants that the script varies and whose figures are not in the stored file.
+NOT_STORED = {
+    "close_octaves", "close_richness", "outlier_sigmas", "floor_px", "misfit_cells", "sampled_beyond_px", "wider",
+}  # fmt: skip
 #: Where a comment or a page names a script, with a study of `thresholds.py` or a part of another script.
 SCRIPT = re.compile(r"benchmarks/(\w+)\.py`*(?:,? +(?:study|studies) `?([\w-]+)`?| +(--part) ([\w-]+))?")
 
@@ -127,6 +132,20 @@ def test_every_studied_constant_names_its_study(thresholds: Any) -> None:
             wrong.append(f"{place}: no such constant; CONSTANTS in benchmarks/thresholds.py says where {key!r} is")
         elif ("thresholds", studies[key]) not in [found[:2] for found in SCRIPT.findall(comment)]:
             wrong.append(f"{place}: need 'benchmarks/thresholds.py, study {studies[key]}' in its comment")
+    assert wrong == []
+
+
+def test_stored_figures_are_of_the_values_in_the_code(thresholds: Any) -> None:
+    stored = json.loads((BENCHMARKS / "figures" / "thresholds.json").read_text(encoding="utf-8"))["studies"]
+    assert stored.keys() == thresholds.STUDIES.keys()
+    wrong = []
+    for name, study in thresholds.STUDIES.items():
+        assert not stored[name]["quick"], name
+        assert stored[name]["used"].keys() == study.tried.keys() - NOT_STORED, name
+        for key, used in stored[name]["used"].items():
+            value = thresholds.current_value(thresholds.CONSTANTS[key])
+            if value != used:
+                wrong.append(f"{thresholds.CONSTANTS[key]}: {value}, but {used} was measured: run study {name} again")
     assert wrong == []
 
 
