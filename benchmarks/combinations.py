@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every valid combination of the chain's methods, and every change of one word from the default.
+"""Every valid combination of the pipeline's methods, and every change of one word from the default.
 
     python benchmarks/combinations.py --quick --markdown docs/one-word-changes.md
     python benchmarks/combinations.py --json combinations.json

@@ -205,7 +205,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=200, help="in each of the nine bins (default 200)")
     parser.add_argument("--size", default="1280x720", help="of the frames (default 1280x720)")
     parser.add_argument(
-        "--path", choices=("detection", "tracking"), default="detection", help="which part of the chain"
+        "--path", choices=("detection", "tracking"), default="detection", help="which part of the pipeline"
     )
     parser.add_argument("--pictures", type=int, default=8, help="different targets (default 8)")
     parser.add_argument("--seed", type=int, default=0)

@@ -8,7 +8,7 @@ matched to pictures 2 to 6, that of `graf` (steep view) to picture 3. A match is
 takes its first keypoint to within 3 px of the second. The figures are means over a sequence's pairs: matches that pass
 the tests, those of them that are correct, and the share of these.
 
-Ours: `detect` on the chain's fine pyramid, `describe`, and `match`: ratio test of 0.8 against the nearest descriptor
+Ours: `detect` on the pipeline's fine pyramid, `describe`, and `match`: ratio test of 0.8 against the nearest descriptor
 at another place, mutual. OpenCV's: its own detector and descriptor, BFMatcher.knnMatch and the ratio test of 0.8.
 Time is for both pictures and the matching; its ratio is the median over the pairs, ours and OpenCV's taken in turns.
 """
@@ -84,7 +84,7 @@ OURS = {
 
 
 def ours(kind: str) -> Callable[[Image, Image], Tentative]:
-    """Return the chain's way with a kind of descriptor."""
+    """Return the pipeline's way with a kind of descriptor."""
 
     def matched(first: Image, second: Image) -> Tentative:
         a, b = (

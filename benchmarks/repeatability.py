@@ -35,7 +35,7 @@ from imgu_ros.vision.scale_space import build_pyramid
 COUNT = 1000
 TOLERANCE_PX = 3.0
 SEQUENCES = ("bark", "iguazu")
-READING = """The first rows are `keypoints.detector` on the chain's fine pyramid, spread over the picture; `pairs` is
+READING = """The first rows are `keypoints.detector` on the pipeline's fine pyramid, spread over the picture; `pairs` is
 the mean number of keypoints found again. Spreading has its price under noise (`iguazu`): half of the keypoints (of
 `dog` a third) are chosen for their place; OpenCV's are the 1000 strongest, wherever they lie. OpenCV 5.0's MSER drops
 the stable regions (its issue 29652); ours does not.
@@ -54,7 +54,7 @@ class Figures:
 
 
 def ours(detector: str, parameters: FastParameters | None = None) -> Callable[[Image], Points]:
-    """Return the detector as the chain calls it: on a fine pyramid, spread."""
+    """Return the detector as the pipeline calls it: on a fine pyramid, spread."""
     return lambda image: detect(build_pyramid(image, "fine"), detector, COUNT, parameters=parameters).xy
 
 

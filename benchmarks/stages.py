@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the chain spread over six processes beside the one of the node `perception`, on the same frames.
+"""Measure the pipeline spread over six processes beside the one of the node `perception`, on the same frames.
 
     python benchmarks/stages.py --size 640x480 --frames 100 --out stages.json
 

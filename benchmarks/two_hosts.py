@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the chain on two hosts of one machine: two network namespaces with a cable between them.
+"""Run the pipeline on two hosts of one machine: two network namespaces with a cable between them.
 
     python benchmarks/two_hosts.py --frames 100 --rate 10 --split keypoints --out two_hosts.json
 

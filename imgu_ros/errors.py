@@ -48,7 +48,7 @@ class FileError(ImguError):
 
 
 class EstimationError(ImguError):
-    """An estimator has no answer for its input; the chain turns it into a status."""
+    """An estimator has no answer for its input; the pipeline turns it into a status."""
 
 
 class TooFewPoints(EstimationError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into the chain."""
+"""What goes into the pipeline."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comes out of the chain, with every intermediate."""
+"""What comes out of the pipeline, with every intermediate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from imgu_ros.vision.scale_space.pyramid import Pyramid
 
 
 class Stage(StrEnum):
-    """Stages of the chain, in order; the names in `frames.csv` and in `status`."""
+    """Stages of the pipeline, in order; the names in `frames.csv` and in `status`."""
 
     DEVELOP = "develop"
     PYRAMID = "pyramid"
@@ -167,7 +167,7 @@ class CalibrationFinding:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """One frame's way through the chain.
+    """One frame's way through the pipeline.
 
     Attributes
     ----------

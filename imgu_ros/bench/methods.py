@@ -66,7 +66,7 @@ class ChainMethod:
     Parameters
     ----------
     name : what tables call it
-    parameters : of the chain
+    parameters : of the pipeline
     targets : the known ones
     """
 

@@ -172,7 +172,7 @@ TRACKING, DETECTION, ORB, SIFT = "tracking", "detection", "ORB", "SIFT"
 #: What tables and plots call them.
 TITLES = {TRACKING: "ours, tracking", DETECTION: "ours, detecting", ORB: "ORB recipe", SIFT: "SIFT recipe"}
 
-#: Every method: its name, and how it is made of parameters (the chain's) and targets.
+#: Every method: its name, and how it is made of parameters (the pipeline's) and targets.
 METHODS: dict[str, Callable[[Parameters, Sequence[TargetImage]], BenchmarkMethod]] = {
     TRACKING: lambda p, t: ChainMethod(TRACKING, parameters_from({"tracking.enabled": True}, p), t),
     DETECTION: lambda p, t: ChainMethod(DETECTION, parameters_from({"tracking.enabled": False}, p), t),
@@ -188,7 +188,7 @@ def make_method(name: str, targets: Sequence[TargetImage], parameters: Parameter
     ----------
     name : tracking, detection, ORB or SIFT
     targets : the known ones
-    parameters : the chain's; None: the defaults
+    parameters : the pipeline's; None: the defaults
 
     Raises
     ------

@@ -62,7 +62,7 @@ class Options:
     negatives : frames without a target
     photographs : what those frames show, (H, W, 3) uint8 RGB
     length_frames : frames over which memory is to stay flat
-    parameters : the chain's
+    parameters : the pipeline's
     """
 
     sizes: tuple[tuple[int, int], ...] = ((640, 480), (1280, 720), (1920, 1080))

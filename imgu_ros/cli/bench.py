@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure this machine: the chain beside what people write with OpenCV (ORB and SIFT recipes), on the same frames.
+"""Measure this machine: the pipeline beside what people write with OpenCV (ORB and SIFT recipes), on the same frames.
 
 Frames are simulated Bayer mosaics with exact truth. Every method sees each frame in turn, in one process, with the same
 number of OpenCV threads; times are medians of a single frame, from Bayer to pose, on the wall clock and of all

@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     let_streams_print_everything()
     # What OpenCV warns of (a cut PNG) becomes an error that says more. It reads this when it is imported.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
-    # The chain's matrices are small: a second thread of BLAS gains nothing, and spins on a core that others need.
+    # The pipeline's matrices are small: a second thread of BLAS gains nothing, and spins on a core that others need.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with stop_signals():
         try:

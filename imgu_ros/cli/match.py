@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find a target in an image, two files, with the very chain of the live node; exits 1 when it is not found."""
+"""Find a target in an image, two files, with the very pipeline of the live node; exits 1 when it is not found."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the chain on the image, and report."""
+    """Run the pipeline on the image, and report."""
     parameters = _with_target(parameters_of(arguments), arguments)
     _check_outputs(arguments)
     from imgu_ros.files.target_images import load_target_images

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the whole chain over one recorded image topic, offline: no DDS, no rclpy.
+"""Run the whole pipeline over one recorded image topic, offline: no DDS, no rclpy.
 
 Reads rosbag1 and rosbag2 (SQLite, MCAP, compressed); several paths are the parts of one recording. Writes into DIR:
 frames.csv (a row for every frame and target), poses_<target>.tum, ambiguous.csv, results/ (a rosbag2), summary.json
@@ -18,7 +18,7 @@ from imgu_ros.cli.terminal import say
 if TYPE_CHECKING:
     from imgu_ros.report.summary import Percentiles, Summary, TargetSummary
 
-HELP = "run the chain over a recorded bag: poses, a results bag, a report"
+HELP = "run the pipeline over a recorded bag: poses, a results bag, a report"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

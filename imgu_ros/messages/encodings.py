@@ -50,7 +50,7 @@ def encoding_named(name: str) -> Encoding:
     Raises
     ------
     EncodingError
-        If the chain cannot read it; the message names the nearest known one, when there is one.
+        If the pipeline cannot read it; the message names the nearest known one, when there is one.
     """
     # The name comes from outside: of an endless one nothing but the start is looked at, kept or shown.
     return _encoding_named(name[:_LONGEST_NAME])

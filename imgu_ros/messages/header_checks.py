@@ -12,7 +12,7 @@ from typing import Any
 from imgu_ros.messages.header import decode_header, frame_name
 from imgu_ros.shown_text import quoted
 
-#: As in the chain: stamps that jump back by more belong to another recording, or to the same one played again.
+#: As in the pipeline: stamps that jump back by more belong to another recording, or to the same one played again.
 _JUMP_NS = 1_000_000_000
 #: What was seen in none of so many images is over.
 _FORGOTTEN = 300

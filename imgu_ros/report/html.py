@@ -93,7 +93,7 @@ def _figures(table: FrameTable) -> Iterator[Picture]:
     yield _plot(plots.plot_status(table), "Status over time", "Each target's status; tentative matches and inliers.")
     times = plots.plot_times(table)
     if times is not None:
-        yield _plot(times, "Stage times", "Time in the chain, without reading and writing.")
+        yield _plot(times, "Stage times", "Time in the pipeline, without reading and writing.")
 
 
 def _plot(figure: Figure, title: str, caption: str) -> Picture:

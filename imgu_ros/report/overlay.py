@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame with what the chain found in it drawn over: as a raster picture, or as vectors over one."""
+"""A frame with what the pipeline found in it drawn over: as a raster picture, or as vectors over one."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def draw_result(result: Result) -> Image:
 
     Parameters
     ----------
-    result : as the chain returned it; a rejected frame gives a grey picture with the reason
+    result : as the pipeline returned it; a rejected frame gives a grey picture with the reason
 
     Returns
     -------

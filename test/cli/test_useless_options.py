@@ -31,7 +31,7 @@ def test_demosaic(picture: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
     command = ("demosaic", picture, str(tmp_path / "out.png"), "--pattern", "rggb")
     assert "preprocess.gamma: not used by this command" in refused(capsys, *command, "-p", "preprocess.gamma:=0.5")
     assert "raw.bands: not used by this command" in refused(capsys, *command, "-p", "raw.bands:=[1]")
-    parameters = tmp_path / "params.yaml"  # the whole chain's file is fine
+    parameters = tmp_path / "params.yaml"  # the whole pipeline's file is fine
     assert main(["params", "--yaml"]) == 0
     parameters.write_text(capsys.readouterr().out)
     assert main([*command, "--params-file", str(parameters)]) == 0

@@ -289,7 +289,7 @@ def test_raw_images_of_claims_alone(make, size, encoding):
 
 
 def test_a_strip_is_no_frame(make):
-    """A picture of 2 rows costs the chain as much as a large one: what reduces frames keeps their rows."""
+    """A picture of 2 rows costs the pipeline as much as a large one: what reduces frames keeps their rows."""
     message = make(
         "sensor_msgs/msg/Image", width=65536, height=2, step=65536, encoding="bayer_rggb8", is_bigendian=0,
         data=np.zeros(2 * 65536, np.uint8),

@@ -125,7 +125,7 @@ def test_words_of_32_bits_are_bytes_in_an_order(make, order, encoding):
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("order", ["rgb", "bgr", "rgba", "bgra", "argb"])
 def test_every_channel_order_ends_in_the_same_colors(make, order, bits):
-    # From bytes through the codec and the chain's first stage; alpha must not matter.
+    # From bytes through the codec and the pipeline's first stage; alpha must not matter.
     dtype = np.dtype(f"u{bits // 8}")
     rgb = np.random.default_rng(2).integers(0, 2**bits, (4, 6, 3)).astype(dtype)
     planes = dict(zip("rgba", (*np.moveaxis(rgb, 2, 0), np.full((4, 6), 77, dtype)), strict=True))

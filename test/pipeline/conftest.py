@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A short simulated sequence that the tests of the chain share."""
+"""A short simulated sequence that the tests of the pipeline share."""
 
 from __future__ import annotations
 

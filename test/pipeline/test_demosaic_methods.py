@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`demosaic.method` in the chain: every method finds the target in Bayer frames of 8 and 16 bits."""
+"""`demosaic.method` in the pipeline: every method finds the target in Bayer frames of 8 and 16 bits."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the light does to a frame, seen from the chain's end: bands, thermal pictures, shutter and lens."""
+"""What the light does to a frame, seen from the pipeline's end: bands, thermal pictures, shutter and lens."""
 
 from __future__ import annotations
 

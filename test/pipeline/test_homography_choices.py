@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every way to estimate the homography works in the chain."""
+"""Every way to estimate the homography works in the pipeline."""
 
 from __future__ import annotations
 

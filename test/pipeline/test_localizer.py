@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chain against simulated truth."""
+"""The pipeline against simulated truth."""
 
 from __future__ import annotations
 

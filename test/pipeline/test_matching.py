@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every descriptor, metric and guided matching in the chain, on a short simulated sequence."""
+"""Every descriptor, metric and guided matching in the pipeline, on a short simulated sequence."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps before keypoints are sought, and the chain with each of them against simulated truth."""
+"""Steps before keypoints are sought, and the pipeline with each of them against simulated truth."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every choice of the chain beside every other one, on a short simulated bag: a pairwise covering array.
+"""Every choice of the pipeline beside every other one, on a short simulated bag: a pairwise covering array.
 
 Most faults of options that meet need two of them (Kuhn, Wallace & Gallo 2004): runs in which every pair of values
 appears find them, with some fifty runs for some hundred million combinations.

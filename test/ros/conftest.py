@@ -178,7 +178,7 @@ class Peer:
 
 @dataclass(frozen=True)
 class World:
-    """A short sequence with its target on disk, and what the chain makes of it offline."""
+    """A short sequence with its target on disk, and what the pipeline makes of it offline."""
 
     target: Path
     frames: tuple[Any, ...]

@@ -58,7 +58,7 @@ class Running:
         return self.results[-1]
 
     def change(self, values: dict[str, object]) -> None:
-        """Set parameters, and wait until the chain for them is made."""
+        """Set parameters, and wait until the pipeline for them is made."""
         self.parameters = parameters_from(values, self.parameters)
         end = time.monotonic() + 20
         while self.worker.parameters is not self.parameters:

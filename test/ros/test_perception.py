@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node, live: what it publishes is what the chain computes, and nothing stops it but a signal."""
+"""The node, live: what it publishes is what the pipeline computes, and nothing stops it but a signal."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_services_and_parameters(node, world, peer, make_camera):
     both.parameters = both.parameters[:1]
     assert peer.call(SetParametersAtomically, "/perception/set_parameters_atomically", both).result.successful
 
-    # The chain is rebuilt beside the one that works: results soon have the new number of keypoints.
+    # The pipeline is rebuilt beside the one that works: results soon have the new number of keypoints.
     peer.hear("/keypoints", CLOUD)
     peer.spin(0.5)
     camera.send(world.frames[1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stages one after the other, without a middleware between them, beside the chain."""
+"""The stages one after the other, without a middleware between them, beside the pipeline."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class Six:
 
 
 def compared(parameters: Parameters, images: list[TargetImage], frames: list[Frame]) -> list[float]:
-    """Return the differences of the corners, px, between the six stages and the chain, for targets that are found."""
+    """Return the differences of corners, px, between the six stages and the pipeline, for targets that are found."""
     chain, six = Localizer(parameters, prepare_references(images, parameters)), Six(parameters, images)
     differences = []
     for frame in frames:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chain as six processes: what it tells is what the chain in one process tells."""
+"""The pipeline as six processes: what it tells is what the pipeline in one process tells."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ SIZE = 360, 270
 
 @dataclass(frozen=True)
 class World:
-    """Frames, their target on disk, and what the chain makes of them in one process."""
+    """Frames, their target on disk, and what the pipeline makes of them in one process."""
 
     target: Path
     frames: tuple[Frame, ...]
@@ -138,7 +138,7 @@ def test_six_processes_tell_what_one_tells(stages, world, peer):
         "pose/status": DIAGNOSTICS,
     }.items():
         peer.hear(f"/cam/{topic}", kind)
-    # The chain is subscribed from its end: each stage as soon as the next one listens.
+    # The pipeline is subscribed from its end: each stage as soon as the next one listens.
     peer.wait(lambda: camera.is_heard, "the first stage")
     peer.spin(0.5)
     heard = peer.heard

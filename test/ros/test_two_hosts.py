@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chain on two hosts: network namespaces with a cable between them, where that is allowed."""
+"""The pipeline on two hosts: network namespaces with a cable between them, where that is allowed."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ Covariances are of (x y z rx ry rz), with R_true = Exp(r) R. The models of disto
 the radius at which it stops growing (`distortion.fold_radius`): `undistort` marks pixels beyond it, where OpenCV's
 functions return a number all the same.
 
-In the chain: camera_info reaches it as a `Camera`; `camera.rectified` says that the images have no distortion any more;
+In the pipeline: camera_info reaches it as a `Camera`; `camera.rectified` says that the images are undistorted;
 `poses_of_homography` gives the pose of every target whose patches were aligned, `planar_poses` that of one found by
 matches alone, and `pose.ambiguity_ratio` decides when both solutions fit. The rest is for the library's users and for
 `imgu calibrate`. Calibrate with the model that your lens needs: `plumb_bob` up to about 100 degrees of view,

@@ -2,7 +2,7 @@
 """Image formation: lens, shutter, sensor, colour filters; from raw numbers to a picture.
 
 Light passes a lens and a shutter, a sensor counts it under colour filters, a converter makes numbers of it. The
-modules model each step, for the simulator, and undo what can be undone, for the chain.
+modules model each step, for the simulator, and undo what can be undone, for the pipeline.
 
 | module | holds | use it when |
 |---|---|---|
@@ -23,7 +23,7 @@ Demosaicking, in dB on the Kodak and the McMaster photographs (mean CPSNR): `bil
 speed; `edge_aware` 30.4 and 32.4; `malvar` 36.0 and 34.1, colour at video rate; `hamilton_adams` 37.4 and 34.4; `menon`
 39.5 and 33.7, for the finest patterns of dull colours; `residual` 39.9 and 36.1, for all else when time matters less.
 
-**In the chain**: `demosaic.method` (also `imgu demosaic --method`); `raw.black_level`, `raw.white_level`,
+**In the pipeline**: `demosaic.method` (also `imgu demosaic --method`); `raw.black_level`, `raw.white_level`,
 `raw.significant_bits` (0: automatic gain by percentiles, as for infrared pictures), `raw.gains`; `raw.bands`,
 `raw.band_mode`, `raw.band_weights`, `raw.reference_spectrum`. **Simulated** by `imgu simulate --bits --full-well
 --read-noise --black-level --exposure-ms --row-time-us --defocus-px --f-number --focus-m --ev`.

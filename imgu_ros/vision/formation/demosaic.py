@@ -19,7 +19,7 @@ from imgu_ros.vision.formation.demosaicking.residual import demosaic_residual
 
 
 class DemosaicMethod(Choice):
-    """Demosaicking methods, from fast to good; `demosaic.method` of the chain."""
+    """Demosaicking methods, from fast to good; `demosaic.method` of the pipeline."""
 
     BILINEAR = "bilinear"
     EDGE_AWARE = "edge_aware"

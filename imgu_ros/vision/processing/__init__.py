@@ -19,7 +19,7 @@ Everything here takes an image, `(H, W)` or `(H, W, 3)` in uint8, uint16 or floa
 
 Smoothing by Gaussians is in the next chapter, `scale_space`.
 
-**In the chain** the parameters `preprocess.*` reach brightness, contrast, gamma, equalisation, smoothing, edge strength
+**In the pipeline** the parameters `preprocess.*` reach brightness, contrast, gamma, equalisation, smoothing, edges
 and thresholds: they change the picture on which keypoints are sought and described, of targets and frames alike, and
 are off by default. Alignment (`refinement.*`, `tracking.*`) matches brightness and contrast itself and keeps to the
 picture as it was: its precision lives in grey ramps that thresholds and clamping destroy. Canny's lines are not among

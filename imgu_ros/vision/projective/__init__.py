@@ -26,7 +26,7 @@ at a fixed scale, so that equal things are equal arrays. Angles turn x towards y
 Matrices of affine maps keep the last row (0, 0, 1); estimated homographies have unit Frobenius norm and det H > 0,
 since h33 may vanish. Degenerate input (singular, coincident, collinear) raises `DegenerateConfiguration`.
 
-**In the chain** the parameters `homography.*` reach the estimation: `sampler`, `threshold_px`, `confidence`,
+**In the pipeline** the parameters `homography.*` reach the estimation: `sampler`, `threshold_px`, `confidence`,
 `max_iterations`, `error`, `refine`. Lines, cross ratio, hierarchy and decompositions are library alone.
 
 Sources: IU 6.1 to 6.5, 7.2, 7.3; Hartley & Zisserman 2004 ("HZ"), chapters 2 and 4.

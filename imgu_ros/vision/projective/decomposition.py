@@ -72,7 +72,7 @@ class AffineParts:
 def decompose_homography(H: ArrayLike) -> HomographyParts:
     """Split a homography into its similarity, affine and projective parts (HZ 2.17).
 
-    The chain is unique: s > 0 and a positive diagonal of K fix the signs.
+    The pipeline is unique: s > 0 and a positive diagonal of K fix the signs.
 
     Parameters
     ----------
