@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a live ROS 2 node. `perception` is the whole pipeline, from image to pose, in one process; the others are one stage
-each, to be spread over processes and hosts.
+"""Run a live ROS 2 node. `perception` is the whole pipeline, from image to pose, in one process; the others are one
+stage each, to be spread over processes and hosts.
 
 Everything after the name is for the node: `-p NAME:=VALUE` and `--params-file FILE`, `-r FROM:=TO` to remap, with or
 without `--ros-args` before them.

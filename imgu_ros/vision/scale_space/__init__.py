@@ -19,7 +19,8 @@ The kernels, and which to take:
 - `recursive`: about as long for sigma 50 as for sigma 1; 0.03 % of its peak off the Gaussian. For sigma above 10 px.
 
 **In the pipeline**: `pyramid.kind` (`coarse`, `fine`, `laplacian`), `pyramid.kernel` (`sampled`, `discrete`,
-`recursive`), `pyramid.levels`, `pyramid.scales_per_octave`, `pyramid.max_side_px`; `preprocess.smoothing_px` smooths beforehand.
+`recursive`), `pyramid.levels`, `pyramid.scales_per_octave`, `pyramid.max_side_px`;
+`preprocess.smoothing_px` smooths beforehand.
 
 Sources: IU 3.1 to 3.3; Burt & Adelson 1983; Lindeberg 1990, 1994; Deriche 1993; Farneback & Westin 2006.
 """
