@@ -145,12 +145,12 @@ class Localizer:
     def _follow(self, context: FrameContext, memory: CameraMemory, time_ns: int) -> dict[str, ReferenceResult]:
         """Return the references whose tracks hold, by name."""
         found: dict[str, ReferenceResult] = {}
-        frame, p = context.frame, self._parameters
+        frame, options, fewest = context.frame, self._parameters.refinement, self._parameters.homography.min_inliers
         for name, track in memory.tracks.items():
             reference = self._references[name]
             try:
                 with context.clock.measures(Stage.REFINE):
-                    alignment = follow(reference, track, context.image, time_ns, frame.camera, p)
+                    alignment = follow(reference, track, context.image, time_ns, frame.camera, options, fewest)
             except EstimationError:
                 continue
             with context.clock.measures(Stage.POSE):

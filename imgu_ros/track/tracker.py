@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.parameters import RefinementParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.pose.planar_pose import distorting_camera, require_plausible
@@ -53,7 +53,13 @@ _MEMORY = 0.5
 
 
 def follow(
-    reference: Reference, track: Track, frame: FrameImage, stamp_ns: int, camera: Camera | None, parameters: Parameters
+    reference: Reference,
+    track: Track,
+    frame: FrameImage,
+    stamp_ns: int,
+    camera: Camera | None,
+    parameters: RefinementParameters,
+    min_inliers: int,
 ) -> PatchAlignment:
     """Find a reference where its track leads.
 
@@ -62,7 +68,8 @@ def follow(
     reference, track : the reference, and its last observations
     frame, stamp_ns : the frame's image and time
     camera : intrinsics, or None
-    parameters : all parameters
+    parameters : those of the alignment
+    min_inliers : patches that must agree
 
     Raises
     ------
@@ -79,8 +86,8 @@ def follow(
                 reference,
                 H,
                 lens,
-                parameters.refinement,
-                parameters.homography.min_inliers,
+                parameters,
+                min_inliers,
                 start.reach_px,
             )
             rms_px = alignment.homography.rms_px / 2**alignment.halvings

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from imgu_ros.config.parameters import DemosaicParameters, Parameters, RawParameters
+from imgu_ros.config.parameters import DemosaicParameters, RawParameters, RefinementParameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EstimationError
 from imgu_ros.image.frame_image import FrameImage, develop
@@ -47,8 +47,11 @@ def shifted(H: Matrix3, x: float, y: float) -> Matrix3:
     return normalised_homography(np.array([[1, 0, x], [0, 1, y], [0, 0, 1]]) @ H)
 
 
-def followed(frame: SimulatedFrame, target: Reference, track: Track, pixels: Image | None = None) -> PatchAlignment:
-    return follow(target, track, pictures_of(frame, pixels), frame.frame.stamp_ns, frame.frame.camera, Parameters())
+def followed(
+    frame: SimulatedFrame, target: Reference, track: Track, pixels: Image | None = None, min_inliers: int = 8
+) -> PatchAlignment:
+    image, f = pictures_of(frame, pixels), frame.frame
+    return follow(target, track, image, f.stamp_ns, f.camera, RefinementParameters(), min_inliers)
 
 
 def track_of(*observations: Observation, errors_px: Sequence[float] = ()) -> Track:
@@ -131,11 +134,10 @@ def test_few_patches_are_no_track(one_target_frames: tuple[SimulatedFrame, ...],
     track = track_of(Observation(H, frame.frame.stamp_ns - SECOND))
     with pytest.raises(EstimationError):
         followed(frame, target, track, pixels)
-    p = parameters_from({"homography.min_inliers": 150})
     covered = frame.frame.image.pixels.copy()
     covered[:, : int((left + right) / 2)] = 90
     with pytest.raises(EstimationError):
-        follow(target, track, pictures_of(frame, covered), frame.frame.stamp_ns, frame.frame.camera, p)
+        followed(frame, target, track, covered, min_inliers=150)
 
 
 def test_an_exact_prediction_needs_no_second_try(
