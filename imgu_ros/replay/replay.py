@@ -23,9 +23,9 @@ from imgu_ros.reference.size_checks import SizeChecks
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.replay.frame_source import FrameSource, ReadFrame, read_ahead, size_of
 from imgu_ros.replay.output_folder import check_output_folder, output_folder
-from imgu_ros.replay.recorded_topics import checked_record
 from imgu_ros.replay.result_files import ReplayOutput, ResultItem, replay_contents
 from imgu_ros.replay.result_sink import ResultSink, result_sink
+from imgu_ros.replay.results_bag import checked_record
 from imgu_ros.replay.statistics import FinishedReplay, ReplayStatistics
 from imgu_ros.report.summary import Source, Summary
 from imgu_ros.simulate.truth import read_truth

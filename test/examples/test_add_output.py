@@ -24,8 +24,7 @@ from imgu_ros.messages import results
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header, header_message
 from imgu_ros.messages.output_topic import OutputContext, OutputTopic, Scope
-from imgu_ros.replay.recorded_topics import checked_record
-from imgu_ros.replay.results_bag import ResultsBag
+from imgu_ros.replay.results_bag import ResultsBag, checked_record
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.types import Floats
 from imgu_ros.vision.camera.pose import Pose
