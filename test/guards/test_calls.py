@@ -33,7 +33,7 @@ class Limit:
 
 LIMITS = {
     "tracked": Limit(148, 16, 60, {5: 1062, 4: 1074}),
-    "empty": Limit(3867, 48, 1658, {5: 24896, 4: 26227}),
+    "empty": Limit(3867, 48, 1658, {5: 24881, 4: 26212}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

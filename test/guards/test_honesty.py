@@ -7,7 +7,7 @@ with 6 degrees of freedom. Each frame has a pose and a noise of its own, so that
 - the number of frames inside the 95 % ellipsoid is binomial: of 60 frames 52 to 60 in 99 % of all runs;
 - the sum is chi-squared with 6 x 60 degrees of freedom: its mean is 4.91 to 7.21 in 99 % of all runs.
 
-Measured with OpenCV 5.0: detected 57 of 60, mean 5.54; tracked 58 of 60, mean 5.53. With 4.6: 58, 5.69; 58, 5.65.
+Measured with OpenCV 5.0: detected 57 of 60, mean 5.55; tracked 58 of 60, mean 5.55. With 4.6: 58, 5.67; 58, 5.66.
 `benchmarks/covariance.py` measures more frames, in bins of distance and tilt.
 """
 
