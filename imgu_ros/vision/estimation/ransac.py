@@ -102,24 +102,28 @@ def ransac(
             "between 0 and 1, >= 1, > 0"
         )
     wanted = max(min_inliers, model.sample_size + 1)
+    most_drawn = needed = max_iterations * search.draws_for_each
+
+    def enough() -> int:
+        """Return the number of samples after which one better than the best hypothesis would have been drawn."""
+        share = _inlier_share(search.errors <= search.limit, search.shares, model.sample_size, Sampler(sampler))
+        return min(needed, iterations_needed(share, model.sample_size, confidence))
+
     proposed = drawn = scored = 0
     if proposal is not None:
         require_type(proposal, Proposal, "proposal")
         proposed = proposal.samples
-        by_chance = min(max_by_chance, _PROPOSED_BY_CHANCE)
-        is_better = len(proposal.hypotheses) > 0 and search.improve(proposal.hypotheses)
-        if is_better and search.failure(wanted, proposed, by_chance, 0, unit) is None:
-            return search.consensus(0)
-    most_drawn = max_iterations * search.draws_for_each
-    needed = most_drawn
+        if len(proposal.hypotheses) and search.improve(proposal.hypotheses):
+            if search.failure(wanted, proposed, min(max_by_chance, _PROPOSED_BY_CHANCE), 0, unit) is None:
+                return search.consensus(0)
+            needed = enough()
     for samples in draw_samples(sampler, model.count, model.sample_size, rng, search.largest_batch):
         samples = samples[: most_drawn - drawn]
         drawn += len(samples)
         hypotheses = model.generate(samples)
         scored += len(hypotheses)
         if len(hypotheses) and search.improve(hypotheses):
-            share = _inlier_share(search.errors <= search.limit, search.shares, model.sample_size, Sampler(sampler))
-            needed = min(needed, iterations_needed(share, model.sample_size, confidence))
+            needed = enough()
         if drawn >= min(needed, most_drawn) or scored >= max_iterations:
             break
     search.finish()
