@@ -20,7 +20,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from imgu_ros.arguments import as_generator, require_type
+from imgu_ros.arguments import as_generator, as_integer, require_type
 from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.estimation.ransac import Proposal, accepted, ransac
 from imgu_ros.vision.estimation.sampling import Sampler
@@ -76,7 +76,7 @@ class HomographyEstimator(Protocol):
 def ransac_estimator(parameters: RansacParameters) -> HomographyEstimator:
     """Return the `ransac` of this package, with `parameters`, as an estimator of homographies."""
     require_type(parameters, RansacParameters, "parameters")
-    return partial(_by_ransac, parameters, False)
+    return partial(_by_ransac, parameters, Score(parameters.score) is Score.BIWEIGHT, None)
 
 
 def usac_then_ransac_estimator(parameters: RansacParameters) -> HomographyEstimator:
@@ -85,7 +85,10 @@ def usac_then_ransac_estimator(parameters: RansacParameters) -> HomographyEstima
     With the score `biweight`, for matches of which few are right, it is `ransac` alone.
     """
     require_type(parameters, RansacParameters, "parameters")
-    return partial(_by_ransac, parameters, Score(parameters.score) is Score.TRUNCATED)
+    if Score(parameters.score) is Score.BIWEIGHT:
+        return ransac_estimator(parameters)
+    is_ordered = Sampler(parameters.sampler) is Sampler.PROSAC
+    return partial(_by_ransac, parameters, False, cv2.SAMPLING_PROSAC if is_ordered else cv2.SAMPLING_UNIFORM)
 
 
 def usac_magsac_estimator(parameters: UsacParameters) -> HomographyEstimator:
@@ -101,8 +104,9 @@ def usac_proposal(
     usac: cv2.UsacParams,
     threshold_px: float,
     rng: np.random.Generator | int,
+    min_inliers: int = 0,
 ) -> Proposal:
-    """Return the answer of OpenCV's USAC as a hypothesis of a model.
+    """Return the answer of OpenCV's USAC as a hypothesis of a model; none where there is no answer.
 
     Parameters
     ----------
@@ -111,7 +115,9 @@ def usac_proposal(
     usac : its options; threshold and seed are set here
     threshold_px : largest distance in dst of an inlier
     rng : source of the seed, or a seed
+    min_inliers : minimum number of inliers of an answer
     """
+    min_inliers = as_integer(min_inliers, "min_inliers")
     usac.threshold, usac.randomGeneratorState = threshold_px, int(as_generator(rng).integers(2**31))
     none = Proposal(np.zeros((0, 3, 3)), usac.maxIterations)
     if len(src) <= model.sample_size:
@@ -120,28 +126,29 @@ def usac_proposal(
         H, mask = cv2.findHomography(src, dst, usac)
     except cv2.error:
         return none
-    if H is None or mask is None or not np.isfinite(H).all():
+    if H is None or np.count_nonzero(mask) < min_inliers or not np.isfinite(H).all():
         return none
     return Proposal(model.normalised(H, mask.ravel() != 0), usac.maxIterations)
 
 
 def _by_ransac(
     parameters: RansacParameters,
-    begins_with_usac: bool,
+    symmetric: bool,
+    usac_sampler: int | None,
     src: Points,
     dst: Points,
     threshold_px: float,
     rng: np.random.Generator | int,
     max_by_chance: float = 1e-3,
 ) -> RobustHomography:
-    rng, p = as_generator(rng), parameters
-    model = HomographyModel(src, dst, Score(p.score) is Score.BIWEIGHT)
+    p = parameters
+    model = HomographyModel(src, dst, symmetric)
     proposal = None
-    if begins_with_usac:
-        usac = _usac(p.confidence, p.max_iterations)
-        usac.sampler = cv2.SAMPLING_PROSAC if Sampler(p.sampler) is Sampler.PROSAC else cv2.SAMPLING_UNIFORM
+    if usac_sampler is not None:
+        usac = cv2.UsacParams()
+        usac.confidence, usac.maxIterations, usac.sampler = p.confidence, p.max_iterations, usac_sampler
         usac.score, usac.loMethod = cv2.SCORE_METHOD_MSAC, cv2.LOCAL_OPTIM_GC
-        proposal = usac_proposal(model, src, dst, usac, threshold_px, rng)
+        proposal = usac_proposal(model, src, dst, usac, threshold_px, rng, p.min_inliers)
     consensus = ransac(
         model,
         threshold_px,
@@ -166,7 +173,8 @@ def _by_magsac(
     rng: np.random.Generator | int,
     max_by_chance: float = 1e-3,
 ) -> RobustHomography:
-    model, usac = HomographyModel(src, dst), _usac(parameters.confidence, parameters.max_iterations)
+    model, usac = HomographyModel(src, dst), cv2.UsacParams()
+    usac.confidence, usac.maxIterations = parameters.confidence, parameters.max_iterations
     usac.sampler, usac.score, usac.loMethod = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MAGSAC, cv2.LOCAL_OPTIM_SIGMA
     consensus = accepted(
         model,
@@ -177,12 +185,6 @@ def _by_magsac(
         unit=" px",
     )
     return _homography(model, consensus)
-
-
-def _usac(confidence: float, max_iterations: int) -> cv2.UsacParams:
-    usac = cv2.UsacParams()
-    usac.confidence, usac.maxIterations = confidence, max_iterations
-    return usac
 
 
 def _homography(model: HomographyModel, consensus: Consensus) -> RobustHomography:
