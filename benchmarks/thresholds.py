@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured constants: what other values of each would give. Every constant is varied alone, on the same data.
 
-    python benchmarks/thresholds.py --json benchmarks/figures/thresholds.json      # all studies, about an hour
+    python benchmarks/thresholds.py --json benchmarks/figures/thresholds.json      # all studies, a quarter of an hour
     python benchmarks/thresholds.py --quick                                        # a few frames of each, a minute
     python benchmarks/thresholds.py --study tracking blur --json benchmarks/figures/thresholds.json
 
