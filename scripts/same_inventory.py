@@ -116,8 +116,13 @@ def topic_items(page: str) -> Inventory:
 def text_items(tree: Path, documented: Inventory) -> Inventory:
     """Return those documented topics and services that the code of `tree` names in a text."""
     written = {text.lstrip("/") for path in (tree / "imgu_ros").rglob("*.py") for text in _texts(path)}
-    names = {item.split()[1] for item in documented}
-    return {f"{name} in the code": "" for name in sorted(names) if re.sub(r"<\w+>", "*", name).lstrip("/") in written}
+    names = sorted({item.split()[1] for item in documented})
+
+    def is_written(name: str) -> bool:
+        start, placeholder, _ = name.lstrip("/").partition("<")
+        return start in written or (bool(placeholder) and any(text.startswith(start) for text in written))
+
+    return {f"{name} in the code": "" for name in names if is_written(name)}
 
 
 def _texts(path: Path) -> Iterator[str]:
