@@ -348,7 +348,7 @@ class HomographyParameters:
     """Robust estimation of the homography."""
 
     estimator: str = parameter(
-        "ransac",
+        "usac_then_ransac",
         "Robust estimator: `ransac` of this package; OpenCV's `usac_magsac`; `usac_then_ransac`: OpenCV's USAC, and "
         "`ransac` where its answer may be chance.",
         choices=estimator_names,
