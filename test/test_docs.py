@@ -125,3 +125,16 @@ def test_every_cited_section_is_in_the_list_of_sources(repository: Path) -> None
         for section in re.findall(r"\d(?:\.\d)+", group)
     }
     assert cited and cited <= listed, sorted(cited - listed)
+
+
+def test_paths_named_in_the_architecture_exist(repository: Path) -> None:
+    """Files and folders of docs/architecture.md, below the package or the repository."""
+    text = (repository / "docs/architecture.md").read_text("utf-8")
+    prose = re.sub(r"<!-- before -->.*?<!-- end -->", "", text, flags=re.DOTALL)
+    named = set(re.findall(r"[\w/]+/[\w/]*(?:\.py)?|\b\w+\.py", prose))
+    paths = {name for name in named if name.endswith((".py", "/"))}
+    assert len(paths) > 40
+    modules = list((repository / "imgu_ros").rglob("*.py"))
+    known = {path.name for path in modules}
+    roots = (repository, repository / "imgu_ros")
+    assert sorted(p for p in paths if p not in known and not any((root / p).exists() for root in roots)) == []
