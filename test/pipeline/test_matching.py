@@ -19,7 +19,7 @@ from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.planar_pose import Located
-from imgu_ros.reference.templates import TargetImage
+from imgu_ros.reference.templates import TargetImage, grey_template
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Status
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, simulate_sequence
@@ -72,7 +72,8 @@ def test_ssd_finds_a_target_of_unchanged_brightness(target_images: tuple[TargetI
     """The picture itself as the frame: sums of squared differences know no other brightness."""
     parameters = parameters_from(OFF | {"descriptor.kind": "patch", "matching.metric": "ssd"})
     targets = prepare_references(target_images[:1], parameters)
-    frame = Frame(RawImage(targets[0].grey, PixelLayout(ColorModel.MONO)), 0, "camera", None)
+    grey = grey_template(target_images[0].pixels, parameters.raw.grey_weights)
+    frame = Frame(RawImage(grey, PixelLayout(ColorModel.MONO)), 0, "camera", None)
     result = Localizer(parameters, targets).process(frame).first
     assert result.homography is not None
     assert corner_error(result.homography.H, np.eye(3), targets[0].outline_template) < 0.5

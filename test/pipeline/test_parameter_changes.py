@@ -133,7 +133,7 @@ def made(tracking: PreparedLocalizer, monkeypatch: pytest.MonkeyPatch) -> Counte
     monkeypatch.setattr(target_features, "_described", counted("descriptions", target_features._described))
     monkeypatch.setattr(targets, "build_pyramid", counted(PYRAMIDS, targets.build_pyramid))
     monkeypatch.setattr(targets, "_corners", counted(CORNERS, targets._corners))
-    monkeypatch.setattr(targets, "PatchBank", counted(PATCHES, targets.PatchBank))
+    monkeypatch.setattr(targets, "TemplatePatches", counted(PATCHES, targets.TemplatePatches))
     return counts
 
 
