@@ -91,7 +91,6 @@ from imgu_ros.vision.projective.robust import (
     UsacParameters,
     ransac_estimator,
     usac_magsac_estimator,
-    usac_proposal,
     usac_then_ransac_estimator,
 )
 from imgu_ros.vision.projective.transform import area_factor, faces_camera, inverse3, local_jacobian, transform
@@ -191,6 +190,5 @@ __all__ = [
     "transform_points",
     "translation",
     "usac_magsac_estimator",
-    "usac_proposal",
     "usac_then_ransac_estimator",
 ]

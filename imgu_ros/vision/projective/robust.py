@@ -97,7 +97,7 @@ def usac_magsac_estimator(parameters: UsacParameters) -> HomographyEstimator:
     return partial(_by_magsac, parameters)
 
 
-def usac_proposal(
+def _usac_proposal(
     model: HomographyModel,
     src: Points,
     dst: Points,
@@ -148,7 +148,7 @@ def _by_ransac(
         usac = cv2.UsacParams()
         usac.confidence, usac.maxIterations, usac.sampler = p.confidence, p.max_iterations, usac_sampler
         usac.score, usac.loMethod = cv2.SCORE_METHOD_MSAC, cv2.LOCAL_OPTIM_GC
-        proposal = usac_proposal(model, src, dst, usac, threshold_px, rng, p.min_inliers)
+        proposal = _usac_proposal(model, src, dst, usac, threshold_px, rng, p.min_inliers)
     consensus = ransac(
         model,
         threshold_px,
@@ -178,7 +178,7 @@ def _by_magsac(
     usac.sampler, usac.score, usac.loMethod = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MAGSAC, cv2.LOCAL_OPTIM_SIGMA
     consensus = accepted(
         model,
-        usac_proposal(model, src, dst, usac, threshold_px, rng),
+        _usac_proposal(model, src, dst, usac, threshold_px, rng),
         threshold_px,
         min_inliers=parameters.min_inliers,
         max_by_chance=max_by_chance,

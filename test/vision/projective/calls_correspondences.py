@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
 from imgu_ros.vision.projective.checks import checked_pairs, finite
@@ -29,7 +28,6 @@ from imgu_ros.vision.projective.robust import (
     UsacParameters,
     ransac_estimator,
     usac_magsac_estimator,
-    usac_proposal,
     usac_then_ransac_estimator,
 )
 from imgu_ros.vision.projective.transform import transform
@@ -77,13 +75,6 @@ CALLS: dict[Callable[..., object], Callable[[np.random.Generator], dict[str, obj
     ransac_estimator: lambda rng: {"parameters": RansacParameters()},
     usac_then_ransac_estimator: lambda rng: {"parameters": RansacParameters()},
     usac_magsac_estimator: lambda rng: {"parameters": UsacParameters()},
-    usac_proposal: lambda rng: {
-        "model": HomographyModel(**_pairs(rng)),
-        **_pairs(rng),
-        "usac": cv2.UsacParams(),
-        "threshold_px": 3.0,
-        "rng": 3,
-    },
     derivative_by_h: lambda rng: {"H": H.copy(), "points": rng.uniform(0, 100, (5, 2))},
     stepped: lambda rng: {"H": H.copy(), "delta": rng.normal(size=8) * 0.1},
     tangent_basis: lambda _: {"H": H.copy()},
