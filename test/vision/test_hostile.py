@@ -429,14 +429,14 @@ def test_hostile_argument(name: str) -> None:
 #: What takes no lists: internal arrays of the library itself, checked where they were made.
 ARRAYS_ALONE = {
     "camera.resection.design_matrix", "matching.hamming.BinaryRows.distances", "matching.numbers.NumberRows.distances",
-    "matching.metrics.require_index", "matching.patch_bank.PatchBank.select", "matching.places.Places.at",
+    "matching.metrics.require_index", "matching.patch_bank.PatchBank.select", "matching.gallery.Places.at",
     "projective.checks.finite", "projective.plane_motion.PlaneMotion.fit",
 }  # fmt: skip
 #: Points as OpenCV returns them, (N, 1, 2): what is called so.
 OF_POINTS = re.compile(r"^(points|others|xy|src|dst|pixels|corners|.*_xy|world|plane_xy|board_xy)$")
 #: Not points of a picture or of space, or of any dimension.
 NOT_OF_OPENCV = {
-    "camera.resection.design_matrix", "estimation.chance.shares_of_places", "matching.places.Places.at",
+    "camera.resection.design_matrix", "estimation.chance.shares_of_places", "matching.gallery.Places.at",
 }  # fmt: skip
 
 
