@@ -21,10 +21,12 @@ from imgu_ros.reference.features import (
     thorough_features,
 )
 from imgu_ros.types import Image
+from imgu_ros.vision.descriptors.extractor import make_extractor
 from imgu_ros.vision.matching.nearest import match_to_gallery
 
 VIEWS = (target_features, close_features, thorough_features)
 OPTIONS = description_options(Parameters())
+EXTRACTOR = make_extractor(OPTIONS.extractor)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def grey() -> Image:
 
 @pytest.mark.parametrize("make", VIEWS)
 def test_keypoints_lie_where_the_texture_is(make: Callable[..., TargetFeatures], grey: Image) -> None:
-    keypoints = make(grey, OPTIONS).described.keypoints
+    keypoints = make(grey, OPTIONS, EXTRACTOR).described.keypoints
     fine = keypoints.xy[keypoints.scale <= 1.5 * keypoints.scale.min()]
     assert (fine >= (80 - 4, 60 - 4)).all() and (fine <= (399 + 4, 299 + 4)).all()
     assert_allclose(fine.min(axis=0), (80, 60), atol=12)
@@ -48,7 +50,7 @@ def test_keypoints_lie_where_the_texture_is(make: Callable[..., TargetFeatures],
 @pytest.mark.parametrize("make", VIEWS)
 def test_a_turned_picture_has_its_keypoints_turned(make: Callable[..., TargetFeatures], grey: Image) -> None:
     """By half a turn: nothing moves on the way, be it enlarged, reduced, or turned away."""
-    a, b = (make(picture, OPTIONS) for picture in (grey, np.ascontiguousarray(grey[::-1, ::-1])))
+    a, b = (make(picture, OPTIONS, EXTRACTOR) for picture in (grey, np.ascontiguousarray(grey[::-1, ::-1])))
     found = match_to_gallery(a.described.descriptors, b.gallery, ratio=0.7)
     assert len(found) >= 100
     between = a.described.keypoints.xy[found.index_src] + b.described.keypoints.xy[found.index_dst] - (479, 359)
@@ -58,7 +60,7 @@ def test_a_turned_picture_has_its_keypoints_turned(make: Callable[..., TargetFea
 
 def test_close_features_are_dense_at_fine_scales(grey: Image) -> None:
     """Those of a first look are spread over all scales."""
-    first, close = (make(grey, OPTIONS).described.keypoints for make in (target_features, close_features))
+    first, close = (make(grey, OPTIONS, EXTRACTOR).described.keypoints for make in (target_features, close_features))
     assert np.count_nonzero(close.scale < 2.2) > 5 * np.count_nonzero(first.scale < 2.2)
     assert close.scale.max() < 0.5 * first.scale.max()
     # Twice as fine as the picture's own pixels allow.
@@ -68,7 +70,10 @@ def test_close_features_are_dense_at_fine_scales(grey: Image) -> None:
 @pytest.mark.parametrize("detector", ["dog", "mser"])
 def test_what_finds_every_scale_by_itself_is_given_no_larger_picture(detector: str, grey: Image) -> None:
     kinds = description_options(parameters_from({"keypoints.detector": detector, "descriptor.kind": "sift"}))
-    first, close = (make(grey, kinds).described.keypoints for make in (target_features, close_features))
+    first, close = (
+        make(grey, kinds, make_extractor(kinds.extractor)).described.keypoints
+        for make in (target_features, close_features)
+    )
     assert len(close) >= len(first) > 0
     assert close.scale.min() == pytest.approx(first.scale.min(), rel=0.2)
 
@@ -77,7 +82,7 @@ def test_a_large_picture_is_not_enlarged() -> None:
     """It has pixels for the closest view already."""
     texture = np.random.default_rng(3).integers(0, 256, (30, 50), np.uint8)
     picture = np.kron(texture, np.ones((40, 40), np.uint8))
-    keypoints = close_features(picture, OPTIONS).described.keypoints
+    keypoints = close_features(picture, OPTIONS, EXTRACTOR).described.keypoints
     assert keypoints.scale.min() >= 1.5
     assert (keypoints.xy > -0.5).all() and (keypoints.xy < (1999.5, 1199.5)).all()
 
@@ -86,7 +91,7 @@ def test_on_demand_they_are_made_once(grey: Image) -> None:
     made = []
 
     def make() -> TargetFeatures:
-        made.append(target_features(grey, OPTIONS))
+        made.append(target_features(grey, OPTIONS, EXTRACTOR))
         return made[-1]
 
     features = FeaturesOnDemand(make)
