@@ -61,8 +61,8 @@ BOUND = (
 #: Choices that go with every choice.
 FREE = (
     "demosaic.method", "homography.error", "homography.refine", "pyramid.kernel", "homography.sampler",
-    "homography.estimator", "homography.score", "preprocess.derivative", "matching.guided", "matching.mutual", "refinement.enabled",
-    "tracking.enabled",
+    "homography.estimator", "homography.score", "preprocess.derivative", "matching.guided", "matching.mutual",
+    "refinement.enabled", "tracking.enabled",
 )  # fmt: skip
 #: Choices about which this bag says nothing: of frames with bands, of a live node, of a lens, of hundredths of a pixel;
 #: and what has one value.
