@@ -295,6 +295,8 @@ def _run_jobs_here(tree: Path, listing: Path) -> int:
                 code = run(arguments)
             except Exception as error:
                 code = f"{type(error).__name__}: {error}"
+        if isinstance(code, int) and code > 128:  # stopped by a signal: this is no result to keep
+            return code
         unfinished = Path(f"{out}.exit.part")
         unfinished.write_text(f"{code}\n")
         unfinished.rename(f"{out}.exit")
