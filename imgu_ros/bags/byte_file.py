@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Iterator
@@ -36,7 +37,10 @@ class ByteFile:
             self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe must not block
             self.size = os.fstat(self._descriptor).st_size
         except OSError as error:
-            raise BagError(f"{path}: {error.strerror}; need a readable file") from None
+            need = (
+                "a bag: a folder, or a file .mcap, .db3 or .bag" if error.errno == errno.ENOENT else "a readable file"
+            )
+            raise BagError(f"{path}: {error.strerror}; need {need}") from None
         except ValueError as error:  # a path with a zero byte
             raise BagError(f"{str(path)!r}: {error}; need a readable file") from None
 

@@ -94,7 +94,10 @@ class TargetsParameters:
     """Planar targets, their sizes and places."""
 
     images: tuple[str, ...] = parameter(
-        (), "Image files of the planar targets, such as `[poster.png]`; `~` and `$VARIABLES` are expanded.", basic=1
+        (),
+        "Image files of the planar targets, such as `[poster.png]`; `~` and `$VARIABLES` are expanded; relative to the "
+        "working directory.",
+        basic=1,
     )
     widths_m: tuple[float, ...] = parameter(
         (),

@@ -159,8 +159,10 @@ class _Machine:
                 take = self._key if self._is_key else self._value
                 take(event)
             case yaml.SequenceStartEvent():
-                if self._is_key or not self._in_section:
+                if self._is_key:
                     raise self._error("a list in place of a name", "NAME: VALUE")
+                if not self._in_section:
+                    raise self._error(f"a list outside of `{SECTION}`", f"`/**:` and `{SECTION}:` above the parameters")
                 self._start_list()
             case yaml.SequenceEndEvent():
                 self._end_list()

@@ -72,6 +72,8 @@ class FrameInput:
         self._subscriptions: dict[str, Subscription] = {}
         self._was_overdue = False
         self._opened_s = 0.0
+        #: Since when somebody has offered the frames' topic, s; None: nobody does.
+        self.offered_since_s: float | None = None
         self._last_s = 0.0
 
     @property

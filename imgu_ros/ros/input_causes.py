@@ -41,8 +41,12 @@ def image_causes(node: Node, source: ImageInput, now_s: float) -> Iterator[Cause
     if silent_s >= _DISCOVERY_S:
         cause = why_not_offered(node, source.wanted_images())
         if cause is not None:
+            source.offered_since_s = None
             yield cause
             return
+    # A publisher that has just appeared is not silent.
+    source.offered_since_s = now_s if source.offered_since_s is None else source.offered_since_s
+    silent_s = min(silent_s, now_s - source.offered_since_s)
     held_up = source.standstill.lately()
     if held_up:
         yield Cause(CauseKind.HELD_UP, held_up, is_logged=True)
