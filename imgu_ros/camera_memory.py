@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Set
+from copy import copy
 
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.reference.reference import Reference
@@ -62,8 +63,17 @@ class CameraMemory:
             self.tracks[reference.name] = Track([observation, *self._shortly_before(reference.name, time_ns)])
         self._last_seen[reference.name] = observation
 
+    def copy(self) -> CameraMemory:
+        """Return a memory whose tracks are its own; frame times and calibration check are shared."""
+        other = copy(self)
+        other.tracks, other._last_seen = dict(self.tracks), dict(self._last_seen)
+        other.before_zero = None if self.before_zero is None else self.before_zero.copy()
+        return other
+
     def keep(self, names: Set[str]) -> None:
         """Forget the tracks of other references."""
+        if self.before_zero is not None:
+            self.before_zero.keep(names)
         self.tracks = {name: track for name, track in self.tracks.items() if name in names}
         self._last_seen = {name: seen for name, seen in self._last_seen.items() if name in names}
 
@@ -102,6 +112,12 @@ class CameraMemories:
         if len(self._memories) > _CAMERAS:
             self._memories.popitem(last=False)
         return memory
+
+    def copy(self) -> CameraMemories:
+        """Return memories whose tracks are their own; see `CameraMemory.copy`."""
+        other = CameraMemories()
+        other._memories = OrderedDict((frame_id, memory.copy()) for frame_id, memory in self._memories.items())
+        return other
 
     def __len__(self) -> int:
         return len(self._memories)

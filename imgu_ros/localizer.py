@@ -15,7 +15,7 @@ from imgu_ros.config.components import DevelopmentParameters, FeatureParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
-from imgu_ros.errors import EstimationError, ImguError
+from imgu_ros.errors import EstimationError, ImguError, ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
@@ -65,11 +65,14 @@ class Localizer:
 
     def add(self, reference: Reference) -> None:
         """Know one more reference, or another one of the same name, from the next frame on; other tracks continue."""
-        self._know([*(each for each in self.references if each.name != reference.name), reference])
+        known = self._references.get(reference.name)
+        if known is not None and not reference.has_template_of(known):
+            self._cameras.keep(self._references.keys() - {reference.name})
+        self._change([*(each for each in self.references if each.name != reference.name), reference])
 
     def remove(self, name: str) -> None:
         """Forget a reference; other tracks continue."""
-        self._know([each for each in self.references if each.name != name])
+        self._change([each for each in self.references if each.name != name])
 
     def prepare(self) -> None:
         """Compute what some frame would have to wait for, some tenths of a second for each reference."""
@@ -89,7 +92,7 @@ class Localizer:
         Tracks are in template px, whatever the references' widths and all parameters are. The calibration check
         continues until the camera changes.
         """
-        self._cameras = before._cameras
+        self._cameras = before._cameras.copy()
         known = before._references
         same = {name for name, each in self._references.items() if name in known and each.has_template_of(known[name])}
         self._cameras.keep(same if self._parameters.tracking.enabled else set())
@@ -137,8 +140,18 @@ class Localizer:
     def _extract(self, image: FrameImage, clock: StageClock) -> Features:
         return find_features(image, self._features, self._extractor, clock)
 
+    def _change(self, references: Iterable[Reference]) -> None:
+        """Know other references; what was computed for those that are gone is let go."""
+        self._cache = BuildCache(self._cache)
+        self._know(references)
+        self._cache.settle()
+
     def _know(self, references: Iterable[Reference]) -> None:
+        references = tuple(references)
         self._references = {reference.name: reference for reference in references}
+        if len(self._references) < len(references):
+            names = ", ".join(reference.name for reference in references)
+            raise ParameterError(f"references: {names}; need unique names")
         self._detectors = make_detectors(self.references, self._parameters, self._cache)
         self._cameras.keep(self._references.keys())
 
@@ -217,8 +230,9 @@ def _tracked(reference: Reference, alignment: PatchAlignment) -> ReferenceResult
 @lru_cache(maxsize=256)
 def _no_keypoints(count: int) -> Matches:
     """Return `count` matches that name no keypoints."""
-    none = np.full(count, -1, np.intp)
-    return Matches(none, none, np.zeros(count))
+    none, distance = np.full(count, -1, np.intp), np.zeros(count)
+    none.flags.writeable = distance.flags.writeable = False  # in many results
+    return Matches(none, none, distance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -71,7 +71,7 @@ class FrameImage:
         self._method = method
         self._grey: Image | None = None
         self._color: Image | None = None
-        self._halved: list[Image] = []
+        self._halved: dict[int, Image] = {}
         self._white = white = self._white_level()
         #: Whether values of 8 bits stay as they are.
         self._keeps_values = self._pixels.dtype == np.uint8 and raw.black_level == 0 and white == 255
@@ -129,11 +129,9 @@ class FrameImage:
             raise ShapeError(f"halved: {times} times, of {self.shape} px; need 0 to {self.most_halvings}")
         if times == 0:
             return self.grey
-        if not self._halved:
-            self._halved.append(self._first_halved())
-        while len(self._halved) < times:
-            self._halved.append(_half(self._halved[-1]))
-        return self._halved[times - 1]
+        if times not in self._halved:
+            self._halved[times] = self._first_halved() if times == 1 else _half(self.halved(times - 1))
+        return self._halved[times]
 
     def cut(self, sheet: PatchAtlas) -> Image:
         """Return squares of the grey picture as a sheet; those of a mosaic must begin at even pixels.

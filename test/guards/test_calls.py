@@ -33,7 +33,7 @@ class Limit:
 
 LIMITS = {
     "tracked": Limit(148, 16, 60, {5: 1062, 4: 1074}),
-    "empty": Limit(3879, 48, 1664, {5: 24917, 4: 26251}),
+    "empty": Limit(3879, 48, 1664, {5: 24940, 4: 26251}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
+from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.reference import Reference
@@ -279,3 +280,28 @@ def test_two_cameras_in_turn_are_each_tracked(one_target_frames: Frames, targets
     for number in range(100):
         chain.process(replace(left[0], frame_id=f"camera {number}"))
     assert len(chain._cameras) == 8
+
+
+def test_a_frame_without_a_stamp_brings_back_no_track_of_a_reference_that_is_gone(
+    target_images: tuple[TargetImage, ...], two_target_frames: Frames
+) -> None:
+    """Nor does what another localizer took over."""
+    parameters = parameters_from({})
+    both = prepare_references(target_images[:2], parameters)
+    localizer = Localizer(parameters, both)
+    frames = [simulated.frame for simulated in two_target_frames]
+    for frame in (*frames[:2], replace(frames[2], stamp_ns=0)):
+        localizer.process(frame)
+    fewer = Localizer(parameters, both[1:])
+    fewer.continue_from(localizer)
+    assert list(fewer.process(frames[3]).references) == [both[1].name]
+    # The one that was taken over from goes on as before.
+    assert len(localizer.process(frames[3]).references) == 2
+    localizer.remove(both[0].name)
+    assert list(localizer.process(frames[4]).references) == [both[1].name]
+    assert localizer.process(frames[5]).first.status.found
+
+
+def test_names_of_references_are_unique(targets: Targets) -> None:
+    with pytest.raises(ParameterError, match="need unique names"):
+        Localizer(parameters_from({}), [targets[0], targets[0]])

@@ -154,7 +154,10 @@ def accepted(
     if len(proposal.hypotheses):
         search.consider(proposal.hypotheses)
     wanted = max(as_integer(min_inliers, "min_inliers"), model.sample_size + 1)
-    failure = search.failure(wanted, proposal.samples, as_number(max_by_chance, "max_by_chance"), 0, unit)
+    max_by_chance = as_number(max_by_chance, "max_by_chance")
+    if not max_by_chance > 0:
+        raise ShapeError(f"max_by_chance: {max_by_chance}; need a number above 0")
+    failure = search.failure(wanted, proposal.samples, max_by_chance, 0, unit)
     if failure is not None:
         raise failure
     return search.consensus(0)

@@ -20,12 +20,17 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from imgu_ros.arguments import as_generator, as_integer, require_type
+from imgu_ros.arguments import as_generator, as_integer, as_number, require_type
+from imgu_ros.errors import ShapeError
 from imgu_ros.types import Mask, Matrix3, Points
 from imgu_ros.vision.estimation.ransac import Proposal, accepted, ransac
 from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.estimation.search import Consensus, Score
 from imgu_ros.vision.projective.minimal import HomographyModel
+
+#: Bounds the time of OpenCV's USAC: its graph cut has a term for each pair of neighbours, so that its time grows with
+#: the square of the number of matches where they crowd. A frame has fewer matches than this by default.
+_MOST_PROPOSED = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +92,7 @@ def usac_then_ransac_estimator(parameters: RansacParameters) -> HomographyEstima
     require_type(parameters, RansacParameters, "parameters")
     if Score(parameters.score) is Score.BIWEIGHT:
         return ransac_estimator(parameters)
+    _require_ranges(parameters)
     is_ordered = Sampler(parameters.sampler) is Sampler.PROSAC
     return partial(_by_ransac, parameters, False, cv2.SAMPLING_PROSAC if is_ordered else cv2.SAMPLING_UNIFORM)
 
@@ -94,7 +100,18 @@ def usac_then_ransac_estimator(parameters: RansacParameters) -> HomographyEstima
 def usac_magsac_estimator(parameters: UsacParameters) -> HomographyEstimator:
     """Return OpenCV's USAC_MAGSAC, with `parameters`, as an estimator of homographies."""
     require_type(parameters, UsacParameters, "parameters")
+    _require_ranges(parameters)
     return partial(_by_magsac, parameters)
+
+
+def _require_ranges(parameters: RansacParameters | UsacParameters) -> None:
+    """Raise `ShapeError` for numbers that OpenCV would refuse in its own words, or take."""
+    confidence = as_number(parameters.confidence, "confidence")
+    iterations = as_integer(parameters.max_iterations, "max_iterations")
+    if not (0 < confidence < 1 and 1 <= iterations < 2**31):
+        raise ShapeError(
+            f"confidence, max_iterations: {confidence}, {iterations}; need a number between 0 and 1, and 1 to 2^31 - 1"
+        )
 
 
 def _usac_proposal(
@@ -118,7 +135,10 @@ def _usac_proposal(
     min_inliers : minimum number of inliers of an answer
     """
     min_inliers = as_integer(min_inliers, "min_inliers")
-    usac.threshold, usac.randomGeneratorState = threshold_px, int(as_generator(rng).integers(2**31))
+    usac.threshold, usac.randomGeneratorState = (
+        as_number(threshold_px, "threshold_px"),
+        int(as_generator(rng).integers(2**31)),
+    )
     none = Proposal(np.zeros((0, 3, 3)), usac.maxIterations)
     if len(src) <= model.sample_size:
         return none
@@ -144,7 +164,7 @@ def _by_ransac(
     p = parameters
     model = HomographyModel(src, dst, symmetric)
     proposal = None
-    if usac_sampler is not None:
+    if usac_sampler is not None and len(src) <= _MOST_PROPOSED:
         usac = cv2.UsacParams()
         usac.confidence, usac.maxIterations, usac.sampler = p.confidence, p.max_iterations, usac_sampler
         usac.score, usac.loMethod = cv2.SCORE_METHOD_MSAC, cv2.LOCAL_OPTIM_GC
