@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,8 +90,8 @@ class BackgroundServices:
             request = self._waiting.popleft()
             try:
                 action = request.begin()
-            except ImguError as error:
-                self._answer(request, False, str(error))
+            except Exception as error:
+                self._fail(request, error)
                 continue
             self._is_busy = True
             self._thread = threading.Thread(target=self._run, args=(request, action), name="service", daemon=True)
@@ -105,7 +106,17 @@ class BackgroundServices:
             failure = error
         executor = self._node.executor
         if executor is not None:  # None: the node ends
-            executor.create_task(lambda: self._finish(request, action, result, failure))
+            executor.create_task(lambda: self._finish_safely(request, action, result, failure))
+
+    def _finish_safely(
+        self, request: _DeferredResponse, action: BackgroundAction, result: Any, failure: Exception | None
+    ) -> None:
+        """Finish a request; nothing is raised: rclpy's events executor does not survive a task that raises."""
+        try:
+            self._finish(request, action, result, failure)
+        except Exception as error:
+            with suppress(Exception):
+                self._node.get_logger().error(f"{type(error).__name__}: {error}")
 
     def _finish(
         self, request: _DeferredResponse, action: BackgroundAction, result: Any, failure: Exception | None
@@ -115,13 +126,17 @@ class BackgroundServices:
             if failure is not None:
                 raise failure
             self._answer(request, True, action.finish(result))
-        except ImguError as error:
-            self._answer(request, False, str(error))
         except Exception as error:
-            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            self._node.get_logger().error(said)
-            self._answer(request, False, said)
+            self._fail(request, error)
         self._next()
+
+    def _fail(self, request: _DeferredResponse, error: Exception) -> None:
+        """Answer why a request failed; what is no fault of the caller is logged too."""
+        said = str(error)
+        if not isinstance(error, ImguError):
+            said = f"{type(error).__name__}: {' '.join(said.split())}"
+            self._node.get_logger().error(said)
+        self._answer(request, False, said)
 
     @staticmethod
     def _answer(request: _DeferredResponse, success: bool, message: str) -> None:

@@ -98,6 +98,8 @@ class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
         self._outputs: Outputs | None = None
         self._server = ParameterServer(self)
         self._slow = BackgroundServices(self)
+        # Of its own: it does not wait for `~/reload`.
+        self._resetting = BackgroundServices(self)
         self._diagnostics = self.create_publisher(
             message_class("diagnostic_msgs/msg/DiagnosticArray"),
             "/diagnostics",
@@ -106,7 +108,7 @@ class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
         )
         self.create_service(SetBool, "~/pause", self._on_pause)
         # It waits for the end of the frame that is processed.
-        self._slow.create("~/reset", lambda: BackgroundAction(self._reset, str))
+        self._resetting.create("~/reset", lambda: BackgroundAction(self._reset, str))
 
     def get_logger(self) -> PlainLogger:
         """Return the node's logger; what it logs acts on no terminal."""
@@ -131,7 +133,7 @@ class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
     def close(self) -> bool:
         """Drop the inputs and end the threads; return whether they have ended."""
         self._input.close()
-        ended = self._slow.close(_END_S)
+        ended = self._slow.close(_END_S) and self._resetting.close(_END_S)
         return self._worker.close(_END_S) and ended
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> Any:

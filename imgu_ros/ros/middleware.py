@@ -22,6 +22,7 @@ _VARIABLES = (PROFILE_VARIABLE, "FASTDDS_DEFAULT_PROFILES_FILE")
 _FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 #: rmw_fastrtps takes the memory policy of queues from the profile when this is "1".
 _QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+_PUBLICATION_MODE = "RMW_FASTRTPS_PUBLICATION_MODE"
 _TRANSPORTS_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 #: Fast DDS does not read the file of the working directory when this is "1".
 _SKIP_VARIABLE = "SKIP_DEFAULT_XML_FILE"
@@ -75,6 +76,8 @@ def set_profile() -> None:
     if profile is not None:
         for name in _VARIABLES:
             os.environ[name] = str(config_file(profile.name))
+    # Also where the user has set this package's profile; not where the user chose what it would override.
+    if _ours() is not None and not os.environ.get(_PUBLICATION_MODE):
         os.environ.setdefault(_QOS_FROM_PROFILE, "1")
 
 

@@ -217,7 +217,7 @@ class Outputs:
 
     def publish_rejected(self, result: Result) -> None:
         """Publish the status of a frame that could not be decoded: no other topic has anything for it."""
-        self._published(result)
+        self._published(result, lambda topic: topic == "status" and self.listened(topic))
 
     def publish_held_up(self, header: Header, text: str) -> None:
         """Publish in `status` that a frame takes long, from the executor's thread while the worker processes it."""
@@ -272,9 +272,9 @@ class Outputs:
     def _is_chosen(self, topic: str) -> bool:
         return self._selection is None or self._selection.includes(topic) or topic in self._selection.beside
 
-    def _published(self, result: Result) -> ConvertedFrame:
+    def _published(self, result: Result, is_wanted: Callable[[str], bool] | None = None) -> ConvertedFrame:
         frame = self._converter.frame(result)
-        for made in self._converter.messages(frame, self.listened):
+        for made in self._converter.messages(frame, is_wanted or self.listened):
             for topic in made.topics:
                 self._publishers.send(topic, made.message)
         return frame

@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator
 _STANDSTILL_S = 1.0
 #: A message sent so shortly before the end is not old.
 _FRESH_NS = 100_000_000
+#: Stamps whose shortest delay changes by more, from the older half of the messages to the newer, follow another clock.
+_DRIFT_NS = 100_000_000
 #: The middleware delivers the last old message within this time.
 _DELIVERED_S = 2.0
 #: A standstill is reported for so long, the window of the rates.
@@ -46,6 +48,7 @@ class Standstill:
         self._is_excused = False
         self._ended_s = self._ended_elapsed_s = -_TOLD_S
         self._ended_wall_ns = 0
+        self._drifted = False
         self._lasted_s = 0.0
         self._delays_ns: deque[int] = deque(maxlen=_DELAYS)
         self._dropped = 0
@@ -92,8 +95,7 @@ class Standstill:
     def is_old(self, stamp_ns: int) -> bool:
         """Return whether a message that is delivered now is from before the end of a standstill that is just over.
 
-        Where stamps do not follow the wall clock (a bag played at another rate) some messages of the first two seconds
-        after a standstill are taken for the wrong kind.
+        Where stamps do not follow the wall clock (a simulation, a bag at another rate) no message is taken for old.
 
         Parameters
         ----------
@@ -103,13 +105,20 @@ class Standstill:
             self._look()
             if stamp_ns <= 0:
                 return False
-            if self._elapsed_s() - self._ended_elapsed_s > _DELIVERED_S or not self._delays_ns:
-                self._delays_ns.append(self._wall_ns() - stamp_ns)
+            known = self._delays_ns
+            if self._elapsed_s() - self._ended_elapsed_s > _DELIVERED_S or not known or self._drifted:
+                known.append(self._wall_ns() - stamp_ns)
                 return False
             # The stamps' clock may be another machine's: the shortest delay of a message is taken for the offset.
             is_old = stamp_ns + min(self._delays_ns) < self._ended_wall_ns - _FRESH_NS
             self._dropped += is_old
             return is_old
+
+    def _drift(self) -> bool:
+        """Return whether stamps drift or jump against the wall clock: a simulation, a bag at another rate."""
+        known = list(self._delays_ns)
+        middle = len(known) // 2
+        return middle > 0 and abs(min(known[:middle]) - min(known[middle:])) > _DRIFT_NS
 
     def news(self) -> str:
         """Return a line about a standstill that is over, once, when the old messages have come; else nothing."""
@@ -135,6 +144,7 @@ class Standstill:
         self._lasted_s = self._beat_s - last_s
         self._ended_s, self._ended_elapsed_s = self._now_s(), self._beat_s
         self._ended_wall_ns = self._wall_ns()
+        self._drifted = self._drift()
         self._dropped, self._is_told = 0, False
 
     def _text(self) -> str:

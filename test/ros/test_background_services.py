@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -113,6 +114,27 @@ def test_errors_become_the_response(rig: Rig) -> None:
         answer = rig.call()
         assert (answer.success, answer.message) == (False, message)
     rig.work, rig.finish = (lambda: "well"), str
+    assert rig.call().message == "well"
+
+
+def test_a_request_that_cannot_begin_is_answered_and_the_next_one_works(rig: Rig) -> None:
+    """Also one that waits, whose turn comes in a task: rclpy's events executor does not survive a task that raises."""
+    free = threading.Event()
+    rig.work = lambda: str(free.wait(PATIENCE_S))
+    first = rig.client.call_async(Trigger.Request())
+    rig.until(lambda: rig.begun)
+
+    def refuse() -> BackgroundAction:
+        raise MemoryError("no memory")
+
+    waiting = rig.client.call_async(Trigger.Request())
+    rig.until(lambda: rig.services._waiting)
+    request = rig.services._waiting.popleft()
+    rig.services._waiting.append(replace(request, begin=refuse))
+    free.set()
+    rig.until(lambda: first.done() and waiting.done())
+    assert (waiting.result().success, waiting.result().message) == (False, "MemoryError: no memory")
+    rig.work = lambda: "well"
     assert rig.call().message == "well"
 
 

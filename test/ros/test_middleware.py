@@ -185,3 +185,19 @@ def test_a_full_shared_memory_is_told(machine, monkeypatch, tmp_path):
     assert middleware.full_memory() == ""
     machine.lacks_shared_memory()
     middleware.require_room_to_start()
+
+
+def test_queues_allocate_each_message_with_our_profile_unless_the_user_chose(machine, monkeypatch):
+    """Also with our profile set by hand; a publication mode of the user's would be overridden."""
+    qos = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+    machine.has(16_000, 15_000)
+    monkeypatch.delenv(qos, raising=False)
+    monkeypatch.setenv("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
+    middleware.set_profile()
+    assert qos not in os.environ
+    monkeypatch.delenv("RMW_FASTRTPS_PUBLICATION_MODE")
+    middleware.set_profile()
+    assert os.environ.pop(qos) == "1"
+    monkeypatch.setenv(VARIABLE, str(middleware.config_file(SMALL)))
+    middleware.set_profile()
+    assert os.environ.pop(qos) == "1"

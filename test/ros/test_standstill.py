@@ -115,3 +115,14 @@ def test_a_node_that_waits_for_its_own_frame_stands_not_still() -> None:
         machine.passes(9.0)
     machine.passes(9.0)
     assert machine.standstill.lately() == ""
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.9, 2.0])
+def test_stamps_of_another_clock_make_no_message_old(rate: float) -> None:
+    """A simulation or a bag at another rate: what comes after a standstill is fresh."""
+    machine = Machine()
+    stamp_ns = machine.wall_ns
+    for count in range(200):
+        machine.passes(4.0 if count == 120 else 1 / 30)
+        stamp_ns += round(rate / 30 * SECOND)
+        assert not machine.standstill.is_old(stamp_ns)
