@@ -18,7 +18,7 @@ _STANDSTILL_S = 1.0
 #: A message sent so shortly before the end is not old.
 _FRESH_NS = 100_000_000
 #: Stamps whose shortest delay changes by more, from the older half of the messages to the newer, follow another clock.
-_DRIFT_NS = 100_000_000
+_DRIFT_NS = 500_000_000
 #: The middleware delivers the last old message within this time.
 _DELIVERED_S = 2.0
 #: A standstill is reported for so long, the window of the rates.
@@ -95,7 +95,8 @@ class Standstill:
     def is_old(self, stamp_ns: int) -> bool:
         """Return whether a message that is delivered now is from before the end of a standstill that is just over.
 
-        Where stamps do not follow the wall clock (a simulation, a bag at another rate) no message is taken for old.
+        Where stamps clearly follow another clock (a simulation or a bag at two thirds of the rate or less, a loop) no
+        message is taken for old; where they drift by less, some of the first two seconds are taken for the wrong kind.
 
         Parameters
         ----------

@@ -117,7 +117,7 @@ def test_a_node_that_waits_for_its_own_frame_stands_not_still() -> None:
     assert machine.standstill.lately() == ""
 
 
-@pytest.mark.parametrize("rate", [0.5, 0.9, 2.0])
+@pytest.mark.parametrize("rate", [0.3, 0.5, 2.0])
 def test_stamps_of_another_clock_make_no_message_old(rate: float) -> None:
     """A simulation or a bag at another rate: what comes after a standstill is fresh."""
     machine = Machine()
