@@ -450,7 +450,7 @@ CASES = (
     *_choices("mono8", "matching.metric", "euclidean cosine", _NO_TRACK, "descriptor.kind:=sift"),
     *_choices("mono8", "matching.metric", "hamming", _NO_TRACK, "descriptor.kind:=brief"),
     *_choices("mono8", "matching.metric", "ssd zmssd ncc", _NO_TRACK, "descriptor.kind:=patch"),
-    *_choices("mono8", "homography.estimator", "ransac usac_magsac", _NO_TRACK),
+    *_choices("mono8", "homography.estimator", "usac_magsac usac_then_ransac", _NO_TRACK),
     *_choices("mono8", "homography.sampler", "uniform", _NO_TRACK),
     *_choices("mono8", "homography.score", "biweight", _NO_TRACK),
     *_choices("mono8", "homography.error", "algebraic transfer symmetric reprojection", _NO_TRACK, _NO_ALIGNMENT),

@@ -351,9 +351,9 @@ class HomographyParameters:
     """Robust estimation of the homography."""
 
     estimator: str = parameter(
-        "usac_then_ransac",
+        "ransac",
         "Robust estimator: `ransac` of this package; OpenCV's `usac_magsac`; `usac_then_ransac`: OpenCV's USAC, and "
-        "`ransac` where its answer may be chance.",
+        "`ransac` where its answer may be chance. Best with OpenCV 5: USAC of OpenCV 4.6 has crashed.",
         choices=estimator_names,
     )
     sampler: str = parameter("prosac", "Sampling of minimal sets.", choices=("uniform", "prosac"))

@@ -7,6 +7,9 @@
 | `ransac` | `ransac` of this package alone | to compare |
 | `usac_magsac` | OpenCV's USAC_MAGSAC (Barath, Noskova, Ivashechkin & Matas 2020) | to compare |
 
+USAC of OpenCV 4.6 has crashed: with OpenCV before 5 `usac_then_ransac` is `ransac` alone, and `usac_magsac` is at the
+user's own risk.
+
 All refuse what wrong matches would agree on by chance (`max_by_chance`), and give the matches within the threshold as
 inliers. OpenCV draws by a seed that comes from `rng`: the same matches and generator give the same homography.
 """
@@ -28,6 +31,8 @@ from imgu_ros.vision.estimation.sampling import Sampler
 from imgu_ros.vision.estimation.search import Consensus, Score
 from imgu_ros.vision.projective.minimal import HomographyModel
 
+#: USAC of OpenCV 4.6 ended the process with a segmentation fault once in some thousand frames.
+_HAS_USAC = int(cv2.__version__.partition(".")[0]) >= 5
 #: Bounds the time of OpenCV's USAC: its graph cut has a term for each pair of neighbours, so that its time grows with
 #: the square of the number of matches where they crowd. A frame has fewer matches than this by default.
 _MOST_PROPOSED = 1000
@@ -164,7 +169,7 @@ def _by_ransac(
     p = parameters
     model = HomographyModel(src, dst, symmetric)
     proposal = None
-    if usac_sampler is not None and len(src) <= _MOST_PROPOSED:
+    if usac_sampler is not None and _HAS_USAC and len(src) <= _MOST_PROPOSED:
         usac = cv2.UsacParams()
         usac.confidence, usac.maxIterations, usac.sampler = p.confidence, p.max_iterations, usac_sampler
         usac.score, usac.loMethod = cv2.SCORE_METHOD_MSAC, cv2.LOCAL_OPTIM_GC
