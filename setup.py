@@ -56,6 +56,8 @@ setup(
     extras_require={
         # What benchmarks/ compares with.
         "bench": ["colour-demosaicing>=0.2.6"],
+        # The path tracer of benchmarks/foreign_frames.py; it needs the shared library of LLVM too (apt: libllvm19).
+        "foreign": ["mitsuba>=3.9"],
         # Wheels for x86-64 Linux; elsewhere ROS 2 Jazzy comes from apt (README.md). Without `fastrtps` there is no
         # middleware, and importing rclpy fails.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
@@ -66,6 +68,7 @@ setup(
             "hypothesis>=6.98",
             "mypy>=1.11",
             "pillow>=10.0",
+            "pypdfium2>=4.30",
             "pytest>=7.4",
             "pytest-cov>=5",
             "pytest-timeout>=2.2",

@@ -39,7 +39,7 @@ _SHARES = {
     "another node's topic": 1,
 }  # fmt: skip
 _BURST = 30
-#: Largest images that come first, one behind the other: every slot of the node's queue has grown to their size then.
+#: Largest images that come first, one behind the other: the memory that they need is reached before it is measured.
 _FIRST_LARGE = 40
 
 

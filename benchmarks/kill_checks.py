@@ -30,7 +30,7 @@ _CODES = {
 }
 _STREAMS = ("frames.csv", "ambiguous.csv", "poses_poster.tum")
 _WHOLE = ("report.html", "summary.json")
-_SIMULATED = ("poster.png", "params.yaml", "truth.csv", "out.mcap", "metadata.yaml")
+_SIMULATED = ("poster.png", "params.yaml", "truth.csv", "exposure.csv", "out.mcap", "metadata.yaml")
 _HIDDEN = {".imgu_lock", ".imgu_files.json"}
 
 

@@ -9,7 +9,7 @@ hears what becomes of each. Every good frame must come out as a pose, or be acco
 middleware (of all that was sent what did not come), or skipped by the node (`/diagnostics` counts), hostile frames
 included in both. What is not is `unexplained`, and a frame that came out without a pose is counted with its reason:
 both are the node's fault. The node's memory (resident less shared, every second) is compared between the second tenth
-of the time and the last; in the first minutes the middleware's queues grow to the largest messages that came.
+of the time and the last; in the first tenth the largest messages come, one behind the other.
 
 Prints a line a minute, writes the JSON every five minutes (`"complete": false`) and at the end, and ends with 1 when
 the node ended or complained of an error of its own, a good frame was lost by its fault, a pose came out of a hostile
@@ -236,6 +236,7 @@ class Soak:
             "own_mb_late": round(late, 2),
             "own_mb_largest": round(float(own.max()), 2),
             "growth_mb": growth_mb,
+            "own_mb_by_minute": self._own_mb_by_minute(),
             "latency_p50_ms_first_tenth": round(float(np.median(latencies[:part])), 2),
             "latency_p50_ms_last_tenth": round(float(np.median(latencies[-part:])), 2),
             "latency_p99_ms": round(float(np.percentile(latencies, 99)), 2),
@@ -325,6 +326,11 @@ class Soak:
         with suppress(OSError):  # the node has ended
             self._own_mb.append(_own_mb(self._pid))
             self._cpu_s = _cpu_s(self._pid)
+
+    def _own_mb_by_minute(self) -> list[float]:
+        """Return the median of every 60 samples, which take a little more than a minute."""
+        minutes = (self._own_mb[start : start + 60] for start in range(0, len(self._own_mb), 60))
+        return [round(float(np.median(minute)), 1) for minute in minutes]
 
     def _tell(self, minute: int) -> None:
         no_word = sum(1 for sent_s in self._sent_s.values() if self._last_s - sent_s > _LOST_S)

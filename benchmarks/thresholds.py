@@ -5,7 +5,8 @@
     python benchmarks/thresholds.py --quick                                        # a few frames of each, a minute
     python benchmarks/thresholds.py --study tracking blur --json benchmarks/figures/thresholds.json
 
-`CONSTANTS` says where each constant is, and `STUDIES` which values are compared on what (`threshold_trials.py`).
+`CONSTANTS` says where each constant is, and `STUDIES` which values are compared on what (`threshold_trials.py`,
+`threshold_prints.py`, `threshold_siblings.py`).
 Frames are simulated, with exact truth; `detection` and `consensus` also use the real images and matches of `$IMGU_DATA`
 where they are present. A line gives one value's figures; the first line of each study gives those of the values in
 the code, with which the others are to be compared. `--json` replaces the studies that were run and keeps the others;
@@ -26,6 +27,8 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import threshold_prints as prints
+import threshold_siblings as siblings
 import threshold_trials as trials
 
 from imgu_ros.bench.machine import this_machine
@@ -46,8 +49,8 @@ CONSTANTS = {
     "coarse_share": "track.patch_alignment:_COARSE_SHARE",
     "fine_steps": "track.patch_alignment:_FINE_STEPS",
     "fine_enough_px": "track.patch_alignment:_FINE_ENOUGH_PX",
-    "sheet_room_px": "track.patch_alignment:_SHEET_ROOM_PX",
-    "sheet_share": "track.patch_alignment:_SHEET_SHARE",
+    "sheet_room_px": "track.patch_squares:_SHEET_ROOM_PX",
+    "sheet_share": "track.patch_squares:_SHEET_SHARE",
     "most_stretched": "track.patch_alignment:_MOST_STRETCHED",
     "corner_quality": "reference.templates:_CORNER_QUALITY",
     "corner_distance_px": "reference.templates:_CORNER_DISTANCE_PX",
@@ -82,7 +85,6 @@ CONSTANTS = {
     # detection
     "more_samples": "reference.features:_MORE_SAMPLES",
     "detection_reach_px": "detect.robust_fit:_DETECTION_REACH_PX",
-    "confirming_share": "detect.robust_fit:_CONFIRMING_SHARE",
     "guided_ratio": "detect.search_passes:_RATIO",
     "largest_view": "reference.features:_LARGEST_VIEW",
     "richness": "reference.features:_RICHNESS",
@@ -102,15 +104,45 @@ CONSTANTS = {
     "index_alike": "vision.matching.index:_ALIKE",
     "index_ratio": "vision.matching.index:_RATIO",
     # confirmation
-    "flat": "reference.verification:_FLAT",
-    "fine_cells": "reference.verification:FINE.cells",
-    "fine_samples": "reference.verification:FINE.samples",
-    "fine_alike": "reference.verification:FINE.alike",
-    "fine_needed": "reference.verification:FINE.needed",
-    "coarse_cells": "reference.verification:COARSE.cells",
-    "coarse_samples": "reference.verification:COARSE.samples",
-    "coarse_alike": "reference.verification:COARSE.alike",
-    "coarse_needed": "reference.verification:COARSE.needed",
+    "flat": "reference.template_cells:_FLAT",
+    "blurs": "reference.verification:_BLURS",
+    "needed": "reference.verification:NEEDED",
+    "needed_of_texture": "reference.verification:_NEEDED_OF_TEXTURE",
+    "sure": "reference.verification:_SURE",
+    "sure_when_blurred": "reference.verification:_SURE_WHEN_BLURRED",
+    "scattered_cells": "reference.verification:_SCATTERED",
+    "finest_sample_px": "reference.frame_samples:_FINEST_PX",
+    "most_samples": "reference.frame_samples:_MOST_SAMPLES",
+    "sample_noise": "reference.verification:_NOISE",
+    "misplaced": "reference.verification:_MISPLACED",
+    "independent": "reference.verification:_INDEPENDENT",
+    "contrast": "reference.verification:_CONTRAST",
+    "shading": "reference.verification:_SHADING",
+    "most_ratio": "reference.verification:_MOST",
+    "least_ratio": "reference.verification:_LEAST",
+    "alike": "reference.verification:_ALIKE",
+    # contradictions
+    "another_print": "reference.verification:_ANOTHER_PRINT",
+    "few_against": "reference.verification:_FEW_AGAINST",
+    "close_blurs": "reference.verification:_CLOSE_BLURS",
+    "most_for_blur": "reference.verification:_MOST_FOR_BLUR",
+    "finest_close_px": "reference.frame_samples:_FINEST_CLOSE_PX",
+    "smoothed": "reference.frame_samples:_SMOOTHED",
+    "same_lines": "reference.contradictions:_SAME_LINES",
+    "displaced": "reference.contradictions:_DISPLACED",
+    "near": "reference.contradictions:_NEAR",
+    "same_tone": "reference.contradictions:_SAME_TONE",
+    "same_grey": "reference.contradictions:_SAME_GREY",
+    "same_contrast": "reference.contradictions:_SAME_CONTRAST",
+    "least_variance": "reference.contradictions:_LEAST_VARIANCE",
+    "most_of_one": "reference.contradictions:_MOST",
+    "odd": "reference.contradictions:_ODD",
+    "plain": "reference.contradictions:_PLAIN",
+    "plain_share": "reference.contradictions:_PLAIN_SHARE",
+    "interior": "reference.contradictions:_INTERIOR",
+    "occluding": "reference.contradictions:_OCCLUDING",
+    # covered
+    "agreeing": "detect.robust_fit:_AGREEING",
     # covariance
     "unseen": "vision.projective.homography:_UNSEEN",
     "outlier_sigmas": "vision.projective.homography:_OUTLIER_SIGMAS",
@@ -133,6 +165,20 @@ CONSTANTS = {
     # chance
     "nearby": "vision.estimation.chance:_NEARBY",
     "wider": "vision.estimation.chance:_WIDER",
+    # samples
+    "motion_settled": "track.patch_equations:_SETTLED",
+    "patch_outlier": "track.patch_equations:_OUTLIER",
+    "farthest_refined_px": "track.sample_refinement:_FARTHEST_PX",
+    "asymmetric": "track.site_alignment:_ASYMMETRIC",
+    "unsteady": "track.site_alignment:_UNSTEADY",
+    "unseen_sites": "track.site_alignment:_UNSEEN",
+    "huber": "track.site_alignment:_HUBER",
+    "scout_patches": "track.site_alignment:_SCOUTS",
+    "scout_patches_px": "track.site_alignment:_SCOUTED_PX",
+    "steps": "track.site_alignment:_ITERATIONS",
+    "texels": "image.raw_samples:_TEXELS",
+    "spread_texels": "image.raw_samples:_SPREAD_TEXELS",
+    "blur_share": "image.raw_samples:_BLUR_SHARE",
     # calibration
     "views": "pose.calibration_check:_VIEWS",
     "moved": "pose.calibration_check:_MOVED",
@@ -239,7 +285,6 @@ STUDIES = {
         {
             "more_samples": (1, 6),
             "detection_reach_px": (3.0, 16.0),
-            "confirming_share": (0.6, 1.0),
             "guided_ratio": (0.8, 1.0),
             "largest_view": (1, 3),
             "richness": (0.75, 3.0),
@@ -267,17 +312,50 @@ STUDIES = {
     "confirmation": Study(
         trials.confirmation,
         {
-            "flat": (1.0, 8.0),
-            "fine_cells": (24, 48),
-            "fine_samples": (4, 8),
-            "fine_alike": (0.65, 0.85),
-            "fine_needed": (),
-            "coarse_cells": (10, 24),
-            "coarse_samples": (5, 12),
-            "coarse_alike": (0.5, 0.7),
-            "coarse_needed": (),
+            "flat": (3.0, 10.0),
+            "blurs": ((0.0,), (0.0, 1.6)),
+            "needed": (0.2, 0.45),
+            "needed_of_texture": (0.1, 0.3),
+            "sure": (0.7, 0.9),
+            "sure_when_blurred": (0.8, 0.95),
+            "scattered_cells": (0.3, 0.7),
+            "finest_sample_px": (1.0, 3.0),
+            "most_samples": (4000, 32000),
+            "sample_noise": (2.0, 5.0),
+            "misplaced": (0.2, 0.6),
+            "independent": (3.0, 10.0),
+            "contrast": (1.2, 2.0),
+            "shading": (0.06, 0.25),
+            "most_ratio": (4.0, 10.0),
+            "least_ratio": (1.0, 3.0),
+            "alike": (0.4, 0.8),
         },
     ),
+    "contradictions": Study(
+        siblings.contradictions,
+        {
+            "another_print": (3.0, 9.0, 12.0),
+            "few_against": (0, 4),
+            "close_blurs": ((0.0, 0.8, 1.6, 3.2), (0.4, 1.6)),
+            "most_for_blur": (1.0, 6.0),
+            "finest_close_px": (0.8, 1.5),
+            "smoothed": (0.3, 0.7),
+            "same_lines": (0.6, 0.8),
+            "displaced": (0, 3),
+            "near": (2, 5),
+            "same_tone": (0.04, 0.16),
+            "same_grey": (2.5, 10.0),
+            "same_contrast": (0.3, 1.2),
+            "least_variance": (10.0, 60.0),
+            "most_of_one": (2.0, 5.0),
+            "odd": (-2.0, 0.0),
+            "plain": (10.0, 40.0),
+            "plain_share": (0.05, 0.2),
+            "interior": (3, 8),
+            "occluding": (2, 8),
+        },
+    ),
+    "covered": Study(siblings.covered, {"agreeing": (0.2, 0.3, 0.42, 0.5)}),
     "covariance": Study(
         trials.covariance,
         {
@@ -304,6 +382,24 @@ STUDIES = {
     ),
     "prosac": Study(trials.prosac, {"support": (0, 4, 20)}),
     "chance": Study(trials.chance, {"nearby": (0.1, 1.0, 10.0), "wider": (0.5, 1.0, 4.0)}),
+    "samples": Study(
+        prints.samples,
+        {
+            "motion_settled": (0.1, 2.0),
+            "patch_outlier": (9.0, 30.0),
+            "farthest_refined_px": (1.0, 6.0),
+            "asymmetric": (0.0, 0.01, 0.04),
+            "unsteady": (0.0, 0.0005, 0.002),
+            "unseen_sites": (0.0, 1.0, 4.0),
+            "huber": (1.5, 5.0),
+            "scout_patches": (16, 1000),
+            "scout_patches_px": (0.05, 1.0),
+            "steps": (5, 20),
+            "texels": (2.4, 9.6),
+            "spread_texels": (1.0, 4.0),
+            "blur_share": (0.0, 0.4, 0.9),
+        },
+    ),
     "calibration": Study(
         trials.calibration,
         {

@@ -101,7 +101,7 @@ def _frame_ids(text: bytes) -> Callable[[Path], Path]:
     return _holding(lambda: tuple(replace(m, data=_frame_id(m.data, text)) for m in recorded(3)))
 
 
-def _tiny_gaps(count: int = 30_000) -> bytes:
+def _tiny_gaps(count: int = 18_000) -> bytes:
     """Small chunks with junk between that looks as if records began in it: every search must stay local."""
     junk = b"\x06\x40\0\0\0\0\0\0\0" * 6 + b"\x05\x30\0\0\0\0\0\0\0" * 2
     chunk = Node(CHUNK, inside=[_message(recorded(1)[3].data)], times=(10**11, 10**11)).data()

@@ -76,7 +76,8 @@ def mutate(rng: Rng, data: bytes) -> bytes:
     if roll < 0.15 or not data:
         return mangled(rng, data)
     if roll < 0.55:
-        with suppress(sqlite3.Error, OverflowError):
+        # A message of SQLite may quote bytes that are no text.
+        with suppress(sqlite3.Error, OverflowError, UnicodeDecodeError):
             return _by_sql(rng, data)
     return _page_mutated(rng, data)
 

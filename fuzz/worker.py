@@ -11,6 +11,7 @@ import os
 import resource
 import shutil
 import sys
+import tempfile
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,6 +19,8 @@ from typing import Any
 
 #: Where an allocation fails instead of the machine.
 ADDRESS_SPACE_BYTES = 6 * 2**30
+#: What `standard_work` takes on the machine that the bounds of time were set on, s.
+STANDARD_SECONDS = 0.15
 
 
 @dataclass(slots=True)
@@ -38,7 +41,10 @@ class Request:
 
 @dataclass(slots=True)
 class Answer:
-    """What came of a case: the verdict, and what it cost in seconds and MB (of the whole process)."""
+    """What came of a case: the verdict, and what it cost in seconds and MB (of the whole process).
+
+    `standard_seconds`: processor time of `standard_work` right after a case that took long, else 0.
+    """
 
     failures: list[str] = field(default_factory=list)
     read: bool = False
@@ -48,6 +54,7 @@ class Answer:
     details: str = ""
     seconds: float = 0.0
     cpu_seconds: float = 0.0
+    standard_seconds: float = 0.0
     peak_mb: float = 0.0
     base_mb: float = 0.0
 
@@ -83,10 +90,25 @@ def answered(request: Request, folder: Path) -> Answer:
     verdict, complete = fuzz_one(reader, path, request.deep)
     answer = Answer(seconds=time.monotonic() - start, cpu_seconds=time.process_time() - cpu, base_mb=base_mb)
     answer.peak_mb = status_mb("VmHWM")
+    if answer.cpu_seconds > 1:
+        answer.standard_seconds = standard_work(scratch)
     complete()
     verdict.failures += _on_stderr(written)
     verdict.failures += [f"left behind: {path.name}" for path in scratch.iterdir()]
     return Answer(**{**asdict(answer), **asdict(verdict)})
+
+
+def standard_work(folder: Path) -> float:
+    """Count and write zeros, as hostile files make a reader do; return the processor time, s."""
+    start = time.process_time()
+    zeros = bytes(2**20)
+    with tempfile.TemporaryFile(dir=folder) as file:
+        for _ in range(128):
+            file.write(zeros)
+    count = 0
+    for index in range(2_000_000):
+        count += index & 1
+    return time.process_time() - start
 
 
 def prepared(request: Request, case: Path) -> tuple[str, Path]:

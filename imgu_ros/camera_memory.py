@@ -7,10 +7,12 @@ from collections import OrderedDict
 from collections.abc import Iterable, Set
 from copy import copy
 
+from imgu_ros.image.transfer_fit import TransferFit
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.reference.reference import Reference
 from imgu_ros.result import ReferenceResult, Status
-from imgu_ros.track.tracker import Observation, Track
+from imgu_ros.track.sample_refinement import Observation
+from imgu_ros.track.tracker import Track
 
 #: Observations farther apart say nothing about how a reference moves.
 _STEADY_NS = 500_000_000
@@ -31,6 +33,7 @@ class CameraMemory:
     ----------
     tracks : by reference name, of the references found in the last frame
     calibration : what frames say about the camera's calibration
+    transfer : what frames say about how its values follow from the light
     frames_without_search, searches : for scheduling searches, see `Localizer`
     last_ns : stamp of the last frame
     before_zero : the memory before a frame without a stamp
@@ -39,6 +42,7 @@ class CameraMemory:
     def __init__(self) -> None:
         self.tracks: dict[str, Track] = {}
         self.calibration = CalibrationCheck()
+        self.transfer = TransferFit()
         self.frames_without_search = 0
         self.searches = 0
         self.last_ns: int | None = None
@@ -56,17 +60,23 @@ class CameraMemory:
         if found.homography is None:
             self.tracks.pop(reference.name, None)
             return
-        observation = Observation(found.homography.H, time_ns)
+        observation = Observation(found.homography.H if found.H_seen is None else found.H_seen, time_ns)
         if track is not None and found.status is Status.TRACKED:
-            self.tracks[reference.name] = track.continued(reference, observation.H, time_ns)
+            self.tracks[reference.name] = track.continued(reference, observation.H, time_ns, found.sampled)
         else:
-            self.tracks[reference.name] = Track([observation, *self._shortly_before(reference.name, time_ns)])
+            self.tracks[reference.name] = Track(
+                [observation, *self._shortly_before(reference.name, time_ns)], sampled=found.sampled
+            )
         self._last_seen[reference.name] = observation
 
     def copy(self) -> CameraMemory:
-        """Return a memory whose tracks are its own; frame times and calibration check are shared."""
+        """Return a memory for other parameters; frame times and calibration check are shared.
+
+        Its tracks are its own, with patches that have to be chosen anew.
+        """
         other = copy(self)
-        other.tracks, other._last_seen = dict(self.tracks), dict(self._last_seen)
+        other.tracks = {name: track.without_patches() for name, track in self.tracks.items()}
+        other._last_seen = dict(self._last_seen)
         other.before_zero = None if self.before_zero is None else self.before_zero.copy()
         return other
 

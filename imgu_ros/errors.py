@@ -85,6 +85,14 @@ class NotConfirmed(NoConsensus):
         self.share = share
 
 
+class Undetermined(EstimationError):
+    """What agrees does not determine the answer to the accuracy that is needed."""
+
+
+class LooksAlike(Undetermined):
+    """Several answers fit alike."""
+
+
 class NotConverged(EstimationError):
     """An iteration ended without reaching its tolerance."""
 

@@ -5,32 +5,32 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-
-import numpy as np
 
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.camera_memory import CameraMemories, CameraMemory
-from imgu_ros.config.components import DevelopmentParameters, FeatureParameters
+from imgu_ros.config.components import DetectionParameters, DevelopmentParameters, FeatureParameters
 from imgu_ros.config.parameters import Parameters
+from imgu_ros.detect.copies import PERFECT, require_no_better_copy
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
+from imgu_ros.detect.rivals import Rivals
 from imgu_ros.errors import EstimationError, ImguError, ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
+from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_detectors, prepare_references
-from imgu_ros.result import ReferenceMatches, ReferenceResult, Result, Stage, StageClock, Status, by_name
-from imgu_ros.track.patch_alignment import PatchAlignment
-from imgu_ros.track.tracker import follow
+from imgu_ros.result import ReferenceResult, Result, Stage, StageClock, Status, by_name
+from imgu_ros.track.tracker import follow, followed_result
 from imgu_ros.vision.descriptors.extractor import make_extractor
-from imgu_ros.vision.matching.matches import Matches
 
 #: While one reference is tracked, every so many searches for a few missing ones are thorough.
 _THOROUGH_EVERY = 6
+#: Observations of a track that is not new.
+_NEW = 3
 
 
 class Localizer:
@@ -113,11 +113,15 @@ class Localizer:
         context = FrameContext(frame, development or develop_frame(frame, self._development), self._extract)
         try:
             image = context.image
+            if image.may_have_curve:
+                image.curve = memory.transfer.curve
+            image.row_time_ns = 1000 * self._parameters.camera.row_time_us
             results = self._follow(context, memory, time_ns)
             missing = [each for name, each in self._references.items() if name not in results]
             is_due = self._search_is_due(memory, missing)
             if is_due:
                 results |= self._detect(context, memory, missing, results.values())
+            results = self._rivals.settled(context, results, is_due)
             features = context.features if with_keypoints else context.computed_features
             results = {name: results.get(name) or _lost(each, is_due) for name, each in self._references.items()}
             self._remember(memory, results, time_ns)
@@ -134,6 +138,7 @@ class Localizer:
                 keypoints=features.described.keypoints if features else None,
                 descriptors=features.described.descriptors if features else None,
                 calibration=None if frame.camera is None else memory.calibration.finding,
+                transfer=memory.transfer.curve.kind if memory.transfer.is_settled and memory.transfer.curve else None,
             )
         )
 
@@ -153,6 +158,7 @@ class Localizer:
             names = ", ".join(reference.name for reference in references)
             raise ParameterError(f"references: {names}; need unique names")
         self._detectors = make_detectors(self.references, self._parameters, self._cache)
+        self._rivals = Rivals(self.references, DetectionParameters.of(self._parameters))
         self._cameras.keep(self._references.keys())
 
     def _follow(self, context: FrameContext, memory: CameraMemory, time_ns: int) -> dict[str, ReferenceResult]:
@@ -163,11 +169,20 @@ class Localizer:
             reference = self._references[name]
             try:
                 with context.clock.measures(Stage.REFINE):
-                    alignment = follow(reference, track, context.image, time_ns, frame.camera, options, fewest)
+                    followed = follow(reference, track, context.image, time_ns, frame.camera, options, fewest)
+                    # A new track may have begun at the wrong place.
+                    if followed.confirmed_share < PERFECT or len(track.observations) < _NEW:
+                        lens = distorting_camera(frame.camera)
+                        require_no_better_copy(context.image, reference, followed.alignment, lens)
             except EstimationError:
                 continue
+            samples = followed.alignment.samples
+            if context.image.may_have_curve and samples is not None and not memory.transfer.is_settled:
+                memory.transfer.add(samples())
             with context.clock.measures(Stage.POSE):
-                found[name] = reference.pose(_tracked(reference, alignment), alignment, frame, memory.calibration)
+                found[name] = reference.pose(
+                    followed_result(reference, followed, Status.TRACKED), followed.alignment, frame, memory.calibration
+                )
         return found
 
     def _detect(
@@ -186,6 +201,9 @@ class Localizer:
             wanted = [reference for reference in missing if reference.kind == kind]
             if wanted:
                 found |= by_name(detector.detect(context, wanted, covered, thorough))
+        for samples in context.curve_samples:
+            if not memory.transfer.is_settled:
+                memory.transfer.add(samples())
         return found
 
     def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference]) -> bool:
@@ -212,27 +230,6 @@ def rejected(frame: Frame, references: Iterable[Reference], reason: str) -> Resu
 
 def _lost(reference: Reference, is_due: bool) -> ReferenceResult:
     return ReferenceResult(reference.name, reference.number, Status.LOST, reason=UNLIKELY if is_due else NOT_DUE)
-
-
-def _tracked(reference: Reference, alignment: PatchAlignment) -> ReferenceResult:
-    """Return the result of a reference that is tracked: its matches are the aligned patches, which all agree."""
-    count = len(alignment.template_xy)
-    matches = ReferenceMatches(_no_keypoints(count), alignment.template_xy, alignment.image_xy, np.ones(count, bool))
-    return ReferenceResult(
-        reference.name,
-        reference.number,
-        Status.TRACKED,
-        matches=matches,
-        confirmed_share=alignment.agreeing_share,
-    )
-
-
-@lru_cache(maxsize=256)
-def _no_keypoints(count: int) -> Matches:
-    """Return `count` matches that name no keypoints."""
-    none, distance = np.full(count, -1, np.intp), np.zeros(count)
-    none.flags.writeable = distance.flags.writeable = False  # in many results
-    return Matches(none, none, distance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,15 @@
 
 from __future__ import annotations
 
-from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus, NotConfirmed, TooFewPoints
+from imgu_ros.errors import (
+    DegenerateConfiguration,
+    EstimationError,
+    LooksAlike,
+    NoConsensus,
+    NotConfirmed,
+    TooFewPoints,
+    Undetermined,
+)
 
 NOT_IN_VIEW = "not in view, too small, blurred or covered"
 NOT_DUE = "not looked for in this frame, while others are in view (tracking.search_every)"
@@ -24,6 +32,10 @@ def why_not_found(error: EstimationError, matches: int, agreeing: int, needed: i
     """
     if isinstance(error, NotConfirmed):
         return f"something like it is in view, or it is mostly covered ({error})"
+    if isinstance(error, LooksAlike):
+        return f"in view, but it cannot be told how it is turned or where in it ({error})"
+    if isinstance(error, Undetermined):
+        return f"too little of it is in view or uncovered to tell its pose ({error})"
     if isinstance(error, DegenerateConfiguration):
         return f"seen too steeply, too small or mirrored ({error})"
     if isinstance(error, TooFewPoints) and matches < needed:
@@ -31,6 +43,21 @@ def why_not_found(error: EstimationError, matches: int, agreeing: int, needed: i
     if isinstance(error, NoConsensus) and agreeing < needed:
         return f"{NOT_IN_VIEW} ({agreeing} of {matches} matches agree, {needed} needed)"
     return f"{NOT_IN_VIEW} ({error})"
+
+
+def another_fits_better(name: str) -> str:
+    """Return why a target is not found where another one that shares a part with it is."""
+    return f"{name} is there, which looks much like it and fits better"
+
+
+def not_told_from(name: str) -> str:
+    """Return why neither of two targets is found that share a part."""
+    return f"it or {name} is in view: what they differ in is covered, too small or blurred"
+
+
+def seen_twice(count: int) -> str:
+    """Return why a marker is not found of which several are in view."""
+    return f"{count} markers with its id are in view: which one is meant cannot be told; need ids that occur once"
 
 
 def no_matches() -> str:

@@ -2,7 +2,7 @@
 """The kinds of references: how each is made of an image, and which detector finds it in frames.
 
 A new kind is a subclass of `Reference` in a file of `reference/`, and a row of `KINDS`, whose key is a value of the
-parameter `reference`.
+parameter `reference`, or the kind that the entries of `targets.images` have which are no pictures (`TargetImage.kind`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from imgu_ros.config.checks import method_conflict
 from imgu_ros.config.components import ComponentParameters, ReferenceParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import Detector, ReferenceDetector
+from imgu_ros.detect.markers import MarkerDetector
 from imgu_ros.errors import ParameterError
+from imgu_ros.reference.marker import MarkerReference, marker_reference
 from imgu_ros.reference.planar import PlanarReference, planar_reference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
@@ -34,12 +36,13 @@ class ReferenceKind:
     """
 
     parameters: type[ComponentParameters]
-    make: Callable[[TargetImage, int, Any, BuildCache], Reference]
+    make: Callable[[Any, int, Any, BuildCache], Reference]
     detector: Callable[[Sequence[Any], Any, BuildCache], Detector]
 
 
 KINDS: dict[str, ReferenceKind] = {
     PlanarReference.kind: ReferenceKind(ReferenceParameters, planar_reference, ReferenceDetector),
+    MarkerReference.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
 }
 
 
@@ -65,9 +68,11 @@ def make_references(
     if reason:
         raise ParameterError(reason)
     cache = BuildCache() if cache is None else cache
-    kind = KINDS[parameters.reference]
-    own = kind.parameters.of(parameters)
-    return tuple(kind.make(image, number, own, cache) for number, image in enumerate(images))
+    references = []
+    for number, image in enumerate(images):
+        kind = KINDS[image.kind or parameters.reference]
+        references.append(kind.make(image, number, kind.parameters.of(parameters), cache))
+    return tuple(references)
 
 
 def prepare_references(

@@ -11,13 +11,20 @@ from enum import StrEnum
 
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.types import Image, Mask, Points
+from imgu_ros.image.transfer_fit import TransferKind
+from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
 from imgu_ros.vision.camera.calibration_test import CalibrationTest
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.projective.homography import HomographyEstimate
 from imgu_ros.vision.scale_space.pyramid import Pyramid
+
+#: The transfer curves that users are told of.
+_CURVES: dict[TransferKind | None, str] = {
+    TransferKind.SRGB: "sRGB",
+    TransferKind.FITTED: "a curve that was fitted to the target",
+}
 
 
 class Stage(StrEnum):
@@ -97,6 +104,30 @@ class ReferenceMatches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SampledPatches:
+    """Patches of a reference that were compared with the raw samples of a frame: the next frame begins with them.
+
+    Attributes
+    ----------
+    template_xy : (N, 2) px, their centres
+    kept : (N,) those that agreed
+    sought : number of patches when they were chosen
+    frames : number of frames in which they were compared
+    zoom : by what factor the reference is larger than when they were chosen
+    scale : px of the frame in one of the template when they were chosen
+    spread : (3,) px^2, variances xx, xy, yy of the image's point spread
+    """
+
+    template_xy: Points
+    kept: Mask
+    sought: int
+    frames: int
+    zoom: float
+    scale: float
+    spread: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ReferenceResult:
     """One target in one frame.
 
@@ -115,9 +146,11 @@ class ReferenceResult:
     ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
     calibration : what the picture says of the camera's numbers beside the pose; None without a pose, or when
         nobody asked for it
+    sampled : patches that were compared with the raw samples, for its track; None: none were
+    H_seen : where a rolling shutter shows the target, for its track; None: as `homography`
     is_sharp : whether its points were seen at full resolution: what blurred ones say of the calibration is not counted
     confirmed_share : share of the target in view that looks as it should where it was found, or was thought to be, 0 to
-        1: of patches looked for those that agree, or of cells compared those that look alike; None: not compared
+        1: of its cells with texture that can tell, those that look alike; None: not compared
     most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
     """
 
@@ -136,6 +169,8 @@ class ReferenceResult:
     most_inliers: int = 0
     calibration: CalibrationTest | None = None
     is_sharp: bool = True
+    H_seen: Matrix3 | None = None
+    sampled: SampledPatches | None = None
 
 
 def by_name(results: Iterable[ReferenceResult]) -> dict[str, ReferenceResult]:
@@ -177,6 +212,7 @@ class Result:
     developed : grey picture, and colour on demand; None when the frame was rejected
     pyramid, keypoints, descriptors : intermediates; None when no target had to be looked for
     calibration : what this frame and those before it say of the camera's calibration; None before the first pose
+    transfer : how the camera's values follow from the light, once that is settled
     times_ns : time that each stage took, for the stages that ran
     total_ns : time of the whole frame
     """
@@ -189,6 +225,7 @@ class Result:
     keypoints: Keypoints | None = None
     descriptors: Image | None = None
     calibration: CalibrationFinding | None = None
+    transfer: TransferKind | None = None
     times_ns: Mapping[Stage, int] | None = None
     total_ns: int = 0
 
@@ -203,5 +240,9 @@ class Result:
     @property
     def camera_remarks(self) -> tuple[str, ...]:
         """What people should know of the camera that is used, by what is said of it and by what is seen."""
-        warning = "" if self.calibration is None else self.calibration.warning
-        return (*self.frame.camera_remarks, warning) if warning else self.frame.camera_remarks
+        remarks = list(self.frame.camera_remarks)
+        if self.calibration is not None and self.calibration.warning:
+            remarks.append(self.calibration.warning)
+        if self.transfer in _CURVES:
+            remarks.append(f"image values do not go with the light, but follow {_CURVES[self.transfer]} (raw.transfer)")
+        return tuple(remarks)

@@ -411,6 +411,7 @@ CASES = (
     Case("windowed", "windowed"),
     Case("rectified", "rectified", "-p camera.rectified:=true"),
     Case("camera_file", "uncalibrated", "-p camera.info_file:={in}/camera.yaml", is_quick=True),
+    Case("row_time", "plumb_bob", "-p camera.row_time_us:=20 --truth {in}/plumb_bob/truth.csv"),
     Case("camera_covariance", "plumb_bob", f"-p camera.covariance:={_COVARIANCE} --truth {{in}}/plumb_bob/truth.csv"),
     Case("two_topics", "two_topics", "-p image_topic:=/rear/image_raw -p camera_info_topic:=/camera/camera_info"),
     Case("topic_chosen", "two_topics"),
@@ -469,6 +470,7 @@ CASES = (
     *(Case(f"filter_{method}", "rgb8", f"filter {{in}}/rgb8.png {{out}}/filtered.png --method {method}")
       for method in ("mean", "gaussian", "detail", "strength", "direction", "edges", "canny")),
     Case("warp", "rgb8", "warp {in}/rgb8.png {out}/warped.png --rotate 30 --scale 0.7 --whole --interpolation cubic"),
+    Case("make", "rgb8", "make {in}/rgb8.png --width-m 0.5 --out {out}/print.pdf"),
     Case("calibrate", "chessboard", "calibrate {in}/chessboard --board 7x5 --square 0.025 --out {out}/camera.yaml "
          "--json {out}/calibration.json", is_quick=True),
     Case("simulate", "mono8", "simulate --out {out} --size 160x120 --frames 3 --seed 5 --exposure-ms 4 "

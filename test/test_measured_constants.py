@@ -152,7 +152,7 @@ def test_stored_figures_are_of_the_values_in_the_code(thresholds: Any) -> None:
 def test_a_constant_is_changed_for_a_while(thresholds: Any) -> None:
     for place, other in (
         ("track.tracker:_HELD_SHARE", 0.75),
-        ("reference.verification:FINE.needed", 0.5),
+        ("reference.verification:NEEDED", 0.5),
         ("detect.detector:_FEWEST_VOTES", [1, 2, 3]),
     ):
         before = thresholds.current_value(place)

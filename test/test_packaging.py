@@ -23,7 +23,10 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = REPOSITORY / "imgu_ros"
 CONSTRAINTS = ("constraints.txt", "constraints-jazzy.txt")
 #: The packages that benchmarks/ compares with need a newer NumPy than Jazzy has.
-LOCKED_EXTRAS = {"constraints.txt": ("bench", "ros", "supply", "test"), "constraints-jazzy.txt": ("ros", "test")}
+LOCKED_EXTRAS = {
+    "constraints.txt": ("bench", "foreign", "ros", "supply", "test"),
+    "constraints-jazzy.txt": ("ros", "test"),
+}
 PYTHONS = ("3.11", "3.12")
 
 #: Imported module -> (name for pip, rosdep key; empty: comes with another key's).

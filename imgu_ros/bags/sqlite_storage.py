@@ -30,6 +30,8 @@ from imgu_ros.errors import BagError
 #: Rows of the tables `topics` and `message_definitions`, and their texts together, in `limits.text_mb`.
 _MOST_NAMED, _MOST_TEXT = 65_536, 16
 _FIRST = -(2**63)
+#: So often a damaged table is read from its first row for one to which it does not lead: each time may take as long.
+_MOST_PASSES = 20
 
 
 class SqliteStorage:
@@ -60,6 +62,7 @@ class SqliteStorage:
         self._path, self._name, self._warnings, self._limits = path, name, warnings, limits
         self._is_sorted = self._is_damaged = self._is_walked = False
         self._pages: SqlitePages | None = None
+        self._passes = 0
         self._file = SqliteFile(path, name, warnings, limits, space)
         try:
             tables = self._file.tables("topics", "messages", "message_definitions")
@@ -298,6 +301,20 @@ class SqliteStorage:
         if odd:
             self._warnings.add(f"{self._name}: {odd} rows of messages have no whole time or topic and are skipped")
 
+    def _passed(self, row: int) -> bytes | None:
+        """Return the bytes of a row that a damaged table does not lead to, but is passed on the way from its first."""
+        self._passes += 1
+        if self._passes > _MOST_PASSES:
+            return None
+        try:
+            # SQLite's own comparison would seek the row.
+            for one, data in self._file.execute(f"SELECT {self._key}, data FROM messages NOT INDEXED"):
+                if one == row:
+                    return data if isinstance(data, bytes) else None
+        except (sqlite3.DatabaseError, MemoryError, OverflowError):
+            pass
+        return None
+
     def _data(self, row: int, time_ns: int) -> bytes | None:
         """Return a message's bytes; None, and a warning, when they cannot be read."""
         place = None
@@ -313,6 +330,8 @@ class SqliteStorage:
             is_lost = not isinstance(error, sqlite3.DataError)  # not too large: pages or their order are damaged
         if is_lost and (pages := self._walked()) is not None:
             place = pages.place_of(row, time_ns)
+        if is_lost and place is None and (passed := self._passed(row)) is not None:
+            return passed
         return self._page_data(place, time_ns, reason)
 
 

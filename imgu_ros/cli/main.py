@@ -30,6 +30,7 @@ COMMANDS = {
     "demosaic": "imgu_ros.cli.demosaic",
     "filter": "imgu_ros.cli.filter",
     "warp": "imgu_ros.cli.warp",
+    "make": "imgu_ros.cli.make",
     "calibrate": "imgu_ros.cli.calibrate",
     "params": "imgu_ros.cli.params",
     "bench": "imgu_ros.cli.bench",

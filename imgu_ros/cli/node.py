@@ -65,13 +65,13 @@ def run(arguments: argparse.Namespace) -> int:
         fail(str(error))
         return 2
 
-    from imgu_ros.process_memory import return_large_blocks
+    from imgu_ros.process_memory import bound_free_memory
     from imgu_ros.ros.middleware import require_room_to_start, set_profile
     from imgu_ros.ros.stopping import StopRequested, StopSignal
 
     require_room_to_start()
     set_profile()
-    return_large_blocks()
+    bound_free_memory()
     with StopSignal() as stop:
         try:
             with stop.interruptible():

@@ -2,7 +2,7 @@
 """Simulate a calibrated camera that moves before printed pictures, and write what it sees as a bag.
 
 Writes into BAG: a rosbag2 with /camera/image_raw and /camera/camera_info, the template images, truth.csv (the exact
-homography and pose of every target in every frame) and params.yaml, so that
+homography and pose of every target in every frame), exposure.csv (how bright every frame is) and params.yaml, so that
 
     imgu replay BAG --params-file BAG/params.yaml --truth BAG/truth.csv --out DIR
 
@@ -68,6 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--full-well", type=float, default=10_000.0, metavar="E", help="electrons that saturate (default 10000)")
     add("--read-noise", type=float, default=4.0, metavar="E", help="electrons (default 4)")
     add("--black-level", type=float, default=0.0, metavar="DN", help="digital number of no light (default 0)")
+    add("--sensitivities", type=_numbers, default=(1.0, 1.0, 1.0), metavar="R,G,B",
+        help="of red, green and blue pixels of a Bayer pattern without white balance, as 0.5,1,0.65 (default 1,1,1)")
+    add("--transfer", choices=("linear", "srgb", "film"), default="linear",
+        help="curve from the signal to the values that are quantised; film: with toe and shoulder (default linear)")
 
     group = parser.add_argument_group(
         "shutter, lens and exposure",
@@ -86,8 +90,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="depth that the lens is focused at (default: the targets' centre, in every frame)")
     add("--pixel-pitch-um", type=float, metavar="UM",
         help="distance of pixels on the sensor, which makes the f-number an aperture (default 3.45)")
-    add("--ev", type=_stops, default=(0.0,), metavar="EV[,EV...]",
+    add("--ev", type=_numbers, default=(0.0,), metavar="EV[,EV...]",
         help="exposure compensation in stops; several, as in --ev=-1,0,1: of successive equal parts of the sequence")
+    add("--saturated", type=float, metavar="SHARE",
+        help="expose each frame so that this share of its pixels is at the white level, as 0.02 (default: by --ev)")
 
     group = parser.add_argument_group("bag")
     add = group.add_argument
@@ -170,6 +176,7 @@ def _simulation(arguments: argparse.Namespace, bag_format: BagFormat) -> Simulat
 def _capture(arguments: argparse.Namespace) -> Capture:
     from imgu_ros.errors import ParameterError
     from imgu_ros.simulate.capture import Capture
+    from imgu_ros.vision.formation.transfer import TransferFunction
 
     if arguments.f_number is not None and not arguments.f_number > 0:
         raise ParameterError(f"f-number: {arguments.f_number:g}; need more than 0")
@@ -183,6 +190,9 @@ def _capture(arguments: argparse.Namespace) -> Capture:
         focus_m=arguments.focus_m,
         pitch_m=Capture().pitch_m if arguments.pixel_pitch_um is None else arguments.pixel_pitch_um * 1e-6,
         ev=arguments.ev,
+        saturated=arguments.saturated,
+        sensitivities=arguments.sensitivities,
+        transfer=TransferFunction(arguments.transfer),
     )
 
 
@@ -228,7 +238,7 @@ def _size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _stops(text: str) -> tuple[float, ...]:
+def _numbers(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:

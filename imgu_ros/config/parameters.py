@@ -95,20 +95,21 @@ class TargetsParameters:
 
     images: tuple[str, ...] = parameter(
         (),
-        "Image files of the planar targets, such as `[poster.png]`; `~` and `$VARIABLES` are expanded; relative to the "
-        "working directory.",
+        "The planar targets, such as `[poster.png, tag36h11:7]`: image files (`~` and `$VARIABLES` are expanded; "
+        "relative to the working directory) and fiducial markers by family and id: `tag16h5`, `tag25h9`, `tag36h10`, "
+        "`tag36h11`, `aruco_4x4_50` ... `aruco_7x7_1000`, `aruco_original`, `aruco_mip_36h12`.",
         basic=1,
     )
     widths_m: tuple[float, ...] = parameter(
         (),
-        "Printed width of each target between its outer edges, such as `[0.594]`; 0 or missing: unknown, and no metric "
-        "pose.",
+        "Printed width of each target between its outer edges, of a marker those of its black square, such as "
+        "`[0.594]`; 0 or missing: unknown, and no metric pose.",
         unit="m",
         bounds=(0.0, 1e4),
         basic=2,
     )
     names: tuple[str, ...] = parameter(
-        (), "Name of each target in topics and files; default: the file name without its extension."
+        (), "Name of each target in topics and files; default: the file name without its extension, or `tag36h11_7`."
     )
     poses: tuple[float, ...] = parameter(
         (), "Pose of each target in the map, seven numbers per target: x y z (m) qx qy qz qw; for `map/odom` and /tf."
@@ -143,6 +144,14 @@ class CameraParameters:
         (),
         "Covariance matrix of fx, fy, cx, cy and the distortion coefficients, row by row, propagated into every pose; "
         "empty: that of the calibration file, else the calibration counts as exact.",
+    )
+    row_time_us: float = parameter(
+        0.0,
+        "Rolling shutter: time from the exposure of one row to that of the next, top row first; 0: global shutter. "
+        "Poses of tracked targets then are those at the time of the middle row, which a frame's stamp is taken to be; "
+        "a detected one, of which no earlier frame tells how it moves, has a covariance that says so.",
+        unit="us",
+        bounds=(0.0, 1000.0),
     )
 
 
@@ -219,7 +228,8 @@ class RawParameters:
     transfer: str = parameter(
         "auto",
         "Transfer function of the input: `linear` (sensor data), `srgb` (images for display), `auto`: sRGB for colour "
-        "images, linear for all others. Targets are converted to match.",
+        "images, linear for all others, and for raw ones the curve that the first tracked frames show. Targets are "
+        "converted to match.",
         choices=("auto", "linear", "srgb"),
     )
     bands: tuple[int, ...] = parameter(
@@ -401,7 +411,9 @@ class SearchParameters:
 class RefinementParameters:
     """Refinement by patch alignment."""
 
-    enabled: bool = parameter(True, "After detection, align patches of the target with the full-resolution image.")
+    enabled: bool = parameter(
+        True, "After detection, align patches of the target with the full-resolution image; markers always are."
+    )
     max_points: int = parameter(150, "Maximum number of patches aligned per target.", bounds=(16, 5000))
     window_px: int = parameter(11, "Side length of a patch.", unit="px", bounds=(7, 63))
 

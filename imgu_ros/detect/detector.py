@@ -12,7 +12,7 @@ import numpy as np
 
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.components import DetectionParameters
-from imgu_ros.detect.features import Features, find_features
+from imgu_ros.detect.features import Features, find_faint_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.robust_fit import draws
 from imgu_ros.detect.search_passes import SearchPass, search, tentative_matches
@@ -103,7 +103,10 @@ class ReferenceDetector:
                 if search_pass is not SearchPass.FIRST or some_found:
                     # The published keypoints are all those of the first pass.
                     result = _without_indices(result)
-                left[result.name] = result
+                before = left.get(result.name)
+                if before is None or before.confirmed_share is None or result.confirmed_share is not None:
+                    # What is compared with the frame says more than that few keypoints agree.
+                    left[result.name] = result
                 if result.outline is not None:
                     covered.append(result.outline)
                     del left[result.name]
@@ -120,7 +123,7 @@ class ReferenceDetector:
         parameters, features = self._parameters, context.features
         if search_pass is SearchPass.THOROUGH:
             parameters = thorough_parameters(parameters)
-            features = find_features(context.image, parameters, self._extractor, context.clock)
+            features = find_faint_features(context.image, parameters, self._extractor, context.clock)
         features = _uncovered(features, covered, context.image.shape)
         with context.clock.measures(Stage.MATCH):
             likely = self._likely(features.described, wanted, _FEWEST_VOTES[search_pass])

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,12 +13,25 @@ from imgu_ros.config.components import FeatureParameters
 from imgu_ros.config.parameters import PreprocessParameters
 from imgu_ros.image.frame_image import FrameImage, most_halvings
 from imgu_ros.image.preprocessing import preprocessed, with_edges
+from imgu_ros.reference.features import extractor_options, together
 from imgu_ros.result import Stage, StageClock
 from imgu_ros.types import Image, Points
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.descriptors.extractor import DetectorDescriptor, FeatureExtractor
-from imgu_ros.vision.scale_space.pyramid import Pyramid, build_pyramid
+from imgu_ros.vision.scale_space.pyramid import PixelScaling, Pyramid, build_pyramid
 
+#: Factor by which a frame is enlarged for a thorough search: a small target has few corners that are larger than noise.
+#: Measured: benchmarks/printed_targets.py.
+_ENLARGED = 2
+#: Keypoints in images of even contrast for each of the others. Measured: benchmarks/printed_targets.py.
+_EVEN_RICHNESS = 1.5
+#: The contrast of a part of an image is that of so many steps about it, of so many px of the level. Measured:
+#: benchmarks/printed_targets.py.
+_SURROUNDINGS, _STEP_PX = (7, 7), 4
+#: Contrast that counts as noise, grey values. Measured: benchmarks/printed_targets.py.
+_FAINT = 2.0
+#: Contrast of every part of an image with even contrast, grey values.
+_EVEN = 40.0
 #: A level with a shorter side holds hardly two descriptor patches of 31 px: too few keypoints for its cost.
 _SMALLEST_SIDE_PX = 64
 
@@ -51,6 +64,57 @@ def find_features(
     with clock.measures(Stage.PYRAMID):
         pyramid = frame_pyramid(reduced_picture(pictures, parameters), parameters)
     return extracted_features(pyramid, extractor, parameters.keypoints.max_count, clock)
+
+
+def find_faint_features(
+    pictures: FrameImage, parameters: FeatureParameters, extractor: FeatureExtractor, clock: StageClock
+) -> Features:
+    """Detect and describe a frame's keypoints, also those of small targets and of parts with little contrast.
+
+    The frame is enlarged where that is within `pyramid.max_side_px`, and more keypoints are detected in images of even
+    contrast: strong corners elsewhere in a scene take all places else. Detectors that find every scale by
+    themselves enlarge by themselves.
+
+    Parameters
+    ----------
+    pictures, parameters, extractor, clock : see `find_features`; the parameters are those of a thorough search
+    """
+    p = parameters
+    detector = extractor_options(p).detector
+    if not isinstance(extractor, DetectorDescriptor) or (detector is not None and detector.finds_every_scale):
+        return find_features(pictures, p, extractor, clock)
+    with clock.measures(Stage.PYRAMID):
+        base, factor = reduced_picture(pictures, p), 1
+        if _ENLARGED * max(base.image.shape) <= p.pyramid.max_side_px:
+            factor = _ENLARGED
+            enlarged = cv2.resize(base.image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+            base = Reduced(enlarged, base.full_size * factor)
+        pyramid = frame_pyramid(base, p)
+        even = replace(pyramid, levels=tuple(replace(each, image=_even(each.image)) for each in pyramid.levels))
+    with clock.measures(Stage.KEYPOINTS):
+        count = p.keypoints.max_count
+        strong, dull = extractor.detect(pyramid, count), extractor.detect(even, round(_EVEN_RICHNESS * count))
+        keypoints = together((strong, dull))
+    with clock.measures(Stage.DESCRIBE):
+        described = extractor.describe(pyramid, keypoints)
+    k = described.keypoints
+    keypoints = replace(k, xy=PixelScaling(factor).from_full_unchecked(k.xy), scale=k.scale / factor)
+    return Features(pyramid, Descriptions(keypoints.rounded_to_float32(), described.descriptors))
+
+
+def _even(image: Image) -> Image:
+    """Return an image whose every part has about the same contrast."""
+    height, width = image.shape
+    small = max(width // _STEP_PX, 1), max(height // _STEP_PX, 1)
+    squares = cv2.multiply(image, image, dtype=cv2.CV_16U)
+    mean, square = (
+        cv2.blur(cv2.resize(each, small, interpolation=cv2.INTER_AREA).astype(np.float32), _SURROUNDINGS)
+        for each in (image, squares)
+    )
+    gain = _EVEN / (np.sqrt(np.maximum(square - mean * mean, 0)) + _FAINT)
+    factor, offset = (cv2.resize(each, (width, height)) for each in (gain, 128 - mean * gain))
+    even: Image = cv2.add(cv2.multiply(image, factor, dtype=cv2.CV_32F), offset, dtype=cv2.CV_8U)
+    return even
 
 
 def frame_pyramid(base: Reduced, parameters: FeatureParameters) -> Pyramid:

@@ -11,6 +11,7 @@ from imgu_ros.detect.features import Features
 from imgu_ros.errors import ShapeError
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import Development, FrameImage
+from imgu_ros.image.transfer_fit import CurveSamples
 from imgu_ros.result import Result, Stage, StageClock
 
 
@@ -27,6 +28,7 @@ class FrameContext:
     ----------
     frame : as given
     clock : takes the time of the stages
+    curve_samples : of references that were detected: they tell the transfer curve
     """
 
     def __init__(
@@ -37,6 +39,7 @@ class FrameContext:
         self._development = development
         self._extract = extract
         self._features: Features | None = None
+        self.curve_samples: list[Callable[[], CurveSamples]] = []
         self.clock = StageClock()
         self.clock.times_ns[Stage.DEVELOP] = development.took_ns
 

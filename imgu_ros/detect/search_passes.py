@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from functools import partial
 
@@ -19,8 +20,10 @@ from imgu_ros.reference.features import TargetFeatures
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.result import ReferenceMatches, ReferenceResult, Stage, Status
+from imgu_ros.types import Indices
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.descriptors.describe import Descriptions
+from imgu_ros.vision.keypoints.keypoints import Keypoints
 from imgu_ros.vision.matching.guided import guided_homography
 from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.matching.nearest import match_to_gallery
@@ -28,6 +31,11 @@ from imgu_ros.vision.matching.nearest import match_to_gallery
 #: Ratio of descriptor distances: with few rivals near a predicted place it may be looser than among all. Measured:
 #: benchmarks/thresholds.py, study detection.
 _RATIO = 0.95
+#: Two matches tell of the same view of a reference when the similarities that they tell differ by at most a turn, a
+#: scale, and a distance of the reference's centre, as a share of its size. Measured: benchmarks/printed_targets.py.
+_SAME_TURN_RAD, _SAME_OCTAVES, _SAME_CENTRE = 0.5, 0.8, 0.6
+#: Among more matches they are not looked for: bounds time and memory.
+_MOST_COMPARED = 1000
 
 
 class SearchPass(StrEnum):
@@ -78,16 +86,43 @@ def search(
 def tentative_matches(
     known: TargetFeatures, described: Descriptions, parameters: MatchingParameters
 ) -> ReferenceMatches:
-    """Match the descriptors of a frame to those of a reference, best first."""
+    """Match the descriptors of a frame to those of a reference.
+
+    Those with the most others that put the reference at about the same place come first, then those least ambiguous.
+    """
     found = match_to_gallery(described.descriptors, known.gallery, parameters.ratio, parameters.mutual)
     # Matched from the frame to the reference, reported from the reference to the frame.
     matches = Matches(found.index_dst, found.index_src, found.distance)
+    order = np.argsort(-_supporters(known.described.keypoints, described.keypoints, matches), kind="stable")
+    matches = Matches(matches.index_src[order], matches.index_dst[order], matches.distance[order])
     return ReferenceMatches(
         matches,
         known.described.keypoints.xy[matches.index_src],
         described.keypoints.xy[matches.index_dst],
         np.zeros(len(matches), bool),
     )
+
+
+def _supporters(known: Keypoints, seen: Keypoints, matches: Matches) -> Indices:
+    """Return how many matches put the reference at about the same place as each does, with the same turn and scale.
+
+    A match of oriented keypoints tells a similarity (Lowe 2004, section 7.3): where few matches are right, those are
+    drawn first by it.
+    """
+    if not 1 < len(matches) <= _MOST_COMPARED:
+        return np.zeros(len(matches), np.intp)
+    src, dst = matches.index_src, matches.index_dst
+    middle = known.xy.mean(axis=0)
+    reach = math.sqrt(float(((known.xy - middle) ** 2).sum(axis=1).mean()))
+    scale = seen.scale[dst] / known.scale[src]
+    turned = scale * np.exp(1j * (seen.angle[dst] - known.angle[src]))
+    x, y = (middle - known.xy[src]).T
+    centre = seen.xy[dst] @ (1, 1j) + turned * (x + 1j * y)
+    ratio = turned[:, None] / turned
+    alike = (np.abs(np.angle(ratio)) < _SAME_TURN_RAD) & (np.abs(np.log2(np.abs(ratio))) < _SAME_OCTAVES)
+    alike &= np.abs(centre[:, None] - centre) < _SAME_CENTRE * reach * np.minimum(scale[:, None], scale)
+    supporters: Indices = np.count_nonzero(alike, axis=1)
+    return supporters
 
 
 def guided(

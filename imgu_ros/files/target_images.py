@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load the pictures of the known targets that the parameters name."""
+"""Load the known targets that the parameters name: pictures, and fiducial markers."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ import re
 import unicodedata
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters, TargetsParameters
-from imgu_ros.errors import FileError, ParameterError
+from imgu_ros.errors import FileError, ParameterError, ShapeError
 from imgu_ros.image_files.images import read_image_file
+from imgu_ros.reference.marker import marker_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
+from imgu_ros.vision.markers import marker_distance, require_marker_family
+from imgu_ros.vision.markers.dictionaries import MARKER_FAMILIES
 
 _MIN_SIDE_PX = 16
 #: Memory that a chain takes to prepare a target, for each of its pixels (measured with default methods).
@@ -29,6 +33,8 @@ _MIN_CONTRAST = 8
 _SHAPE = "a white shape on transparency: taken as white on black"
 #: With what goes round it a name makes names of topics and of files, which have at most 255 characters.
 _LONGEST_NAME = 128
+#: A marker: family and id, or all ids.
+_MARKER = re.compile(r"([A-Za-z]\w*):(\*|-?\d{1,9})", re.ASCII)
 _TOKEN = re.compile(r"[A-Za-z](?!\w*__)\w*", re.ASCII)
 
 
@@ -38,12 +44,13 @@ def load_target_images(
     *,
     limits: LimitsParameters = DEFAULT_LIMITS,
 ) -> tuple[TargetImage, ...]:
-    """Read the target pictures: upright, as their orientation tags say, and on white where they are transparent.
+    """Return the targets: pictures, upright, as their orientation tags say, and on white where they are transparent;
+    and markers, of entries like `tag36h11:7`.
 
     Parameters
     ----------
     targets : `images` with `~` and `$VARIABLES` expanded; a width left out is 0 (unknown), a name left out is the
-        file's stem made a valid ROS name
+        file's stem made a valid ROS name, or family and id of a marker, `tag36h11_7`
     on_warning : called for each thing the user should know
     limits : what decoding a picture, and preparing a target of it, may cost
 
@@ -56,16 +63,67 @@ def load_target_images(
     FileError
         If a file is missing, no image, too small, or blank.
     ParameterError
-        If a name is no ROS name, or two targets have the same.
+        If a name is no ROS name, two targets have the same, or there is no such marker.
     """
-    paths = [expanded_path(text) for text in targets.images]
-    names = [_checked_name(name) for name in targets.names] or [name_from_stem(path.stem) for path in paths]
-    _refuse_collisions(names, paths)
-    widths = targets.widths_m or (0.0,) * len(paths)
+    entries = [_marker_of(text) or _path_of(text) for text in targets.images]
+    names = [_checked_name(name) for name in targets.names] or [_default_name(entry) for entry in entries]
+    _refuse_collisions(names, entries)
+    widths = targets.widths_m or (0.0,) * len(entries)
     return tuple(
-        TargetImage(name, _target_pixels(path, on_warning, limits), float(width))
-        for name, path, width in zip(names, paths, widths, strict=True)
+        marker_image(name, entry.family, entry.number, float(width))
+        if isinstance(entry, _Marker)
+        else TargetImage(name, _target_pixels(entry, on_warning, limits), float(width))
+        for name, entry, width in zip(names, entries, widths, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class _Marker:
+    family: str
+    number: int
+
+    def __str__(self) -> str:
+        return f"{self.family}:{self.number}"
+
+
+def _marker_of(text: str) -> _Marker | None:
+    """Return the marker that an entry names; None when it names a file.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such marker.
+    """
+    match = _MARKER.fullmatch(text)
+    if match is None or os.path.exists(text):
+        return None
+    family, number = match.groups()
+    try:
+        require_marker_family(family)
+        if number == "*":
+            raise ParameterError(
+                f"targets.images: {text}: all ids of a family at once are not supported; need one entry for each "
+                f"marker, {family}:0, {family}:1, ..."
+            )
+        found = _Marker(family, int(number))
+        distance = marker_distance(family, found.number)
+    except ShapeError as error:
+        raise ParameterError(f"targets.images: {error}") from None
+    if not distance:
+        raise ParameterError(
+            f"targets.images: {text}: turned, it looks like itself or another one of {family}; need another id"
+        )
+    return found
+
+
+def _path_of(text: str) -> Path:
+    if text in MARKER_FAMILIES and not os.path.exists(text):
+        raise ParameterError(f"targets.images: {text}: a family of markers without an id; need {text}:0, ...")
+    return expanded_path(text)
+
+
+def _default_name(entry: _Marker | Path) -> str:
+    return f"{entry.family}_{entry.number}" if isinstance(entry, _Marker) else name_from_stem(entry.stem)
 
 
 def expanded_path(text: str) -> Path:
@@ -109,12 +167,12 @@ def _checked_name(name: str) -> str:
     return name
 
 
-def _refuse_collisions(names: list[str], paths: list[Path]) -> None:
-    seen: dict[str, Path] = {}
-    for name, path in zip(names, paths, strict=True):
+def _refuse_collisions(names: list[str], entries: list[_Marker | Path]) -> None:
+    seen: dict[str, _Marker | Path] = {}
+    for name, entry in zip(names, entries, strict=True):
         if name in seen:
-            raise ParameterError(f"targets.names: {name!r} for both {seen[name]} and {path}; need different names")
-        seen[name] = path
+            raise ParameterError(f"targets.names: {name!r} for both {seen[name]} and {entry}; need different names")
+        seen[name] = entry
 
 
 def _target_pixels(path: Path, on_warning: Callable[[str], None], limits: LimitsParameters) -> Image:

@@ -6,16 +6,21 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import ImguError, ShapeError
 from imgu_ros.frame import Frame
+from imgu_ros.image.raw_samples import Mosaic
+from imgu_ros.image.transfer_fit import SRGB_CURVE, TransferCurve, TransferKind
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
+from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.demosaic import GREY_OF_MOSAIC, DemosaicMethod, demosaic, grey_from_mosaic
 from imgu_ros.vision.formation.layout import ColorModel, RawImage
 from imgu_ros.vision.formation.levels import stretched_to_8_bit, with_levels
@@ -58,7 +63,25 @@ _CHANNELS = {
 #: default.
 _SMALLEST_SIDE_PX = 8
 
+#: Of the four sites of a quad, in reading order: 0 for red, 1 for green, 2 for blue.
+_CHANNELS_OF = {
+    BayerPattern.RGGB: (0, 1, 1, 2),
+    BayerPattern.BGGR: (2, 1, 1, 0),
+    BayerPattern.GRBG: (1, 0, 2, 1),
+    BayerPattern.GBRG: (1, 2, 0, 1),
+}
+#: All sites of a quad see the same.
+_ONE_CHANNEL = (0, 0, 0, 0)
+
 _METHODS = frozenset(str(method) for method in DemosaicMethod)
+
+
+class LightKind(StrEnum):
+    """With what the samples of a frame are compared."""
+
+    COLOR = "color"  #: the linear colours of a target: each site of a mosaic sees one
+    GREY = "grey"  #: its grey, linear in the light
+    CODED = "coded"  #: its grey as sRGB values
 
 
 class FrameImage:
@@ -72,6 +95,12 @@ class FrameImage:
         self._grey: Image | None = None
         self._color: Image | None = None
         self._halved: dict[int, Image] = {}
+        #: Of the curve with which it was made.
+        self._mosaic: tuple[TransferCurve | None, Mosaic | None] | None = None
+        #: How the values follow from the light, where earlier frames told; used when `may_have_curve`.
+        self.curve: TransferCurve | None = None
+        #: From the exposure of one row to that of the next, of a rolling shutter, ns.
+        self.row_time_ns = 0.0
         self._white = white = self._white_level()
         #: Whether values of 8 bits stay as they are.
         self._keeps_values = self._pixels.dtype == np.uint8 and raw.black_level == 0 and white == 255
@@ -160,6 +189,44 @@ class FrameImage:
         if self._color is None:
             self._color = self._developed_color()
         return self._color
+
+    @property
+    def light_kind(self) -> LightKind:
+        """With what `mosaic` is to be compared."""
+        if self._layout.color is ColorModel.BAYER:
+            return LightKind.COLOR
+        return LightKind.GREY if self.is_linear else LightKind.CODED
+
+    @property
+    def mosaic(self) -> Mosaic | None:
+        """The samples as they came, or those of the grey image where a pixel has several; None: they mean no light."""
+        if self._mosaic is None or self._mosaic[0] is not self.curve:
+            self._mosaic = self.curve, self._made_mosaic()
+        return self._mosaic[1]
+
+    def _made_mosaic(self) -> Mosaic | None:
+        color, black, white = self._layout.color, self._raw.black_level, self._white or 0.0
+        if color is ColorModel.BANDS:
+            return None
+        if color is ColorModel.BAYER and self._layout.pattern is not None:
+            return Mosaic(self._pixels, _CHANNELS_OF[self._layout.pattern], black, white, self._light)
+        if color is ColorModel.MONO and self.is_linear:
+            return Mosaic(self._pixels, _ONE_CHANNEL, black, white, self._light)
+        return Mosaic(self.grey, _ONE_CHANNEL, 0.0, 255.0)
+
+    @property
+    def may_have_curve(self) -> bool:
+        """Whether the values are a sensor's, and `raw.transfer` leaves open how they follow from the light."""
+        is_sensor = self._layout.color in (ColorModel.BAYER, ColorModel.MONO)
+        return is_sensor and self._raw.transfer == "auto" and self._white is not None
+
+    @property
+    def _light(self) -> NDArray[np.float32] | None:
+        """The light of each raw value, when it is not proportional."""
+        curve = SRGB_CURVE if self._raw.transfer == "srgb" else self.curve
+        if curve is None or curve.kind is TransferKind.LINEAR or self._white is None:
+            return None
+        return curve.table(self._raw.black_level, self._white, int(np.iinfo(self._pixels.dtype).max) + 1)
 
     def _first_halved(self) -> Image:
         if self._grey is not None or not self._local:

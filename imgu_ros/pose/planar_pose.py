@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -10,13 +11,13 @@ import cv2
 import numpy as np
 
 from imgu_ros.config.parameters import PoseParameters
-from imgu_ros.errors import DegenerateConfiguration, EstimationError
+from imgu_ros.errors import DegenerateConfiguration, EstimationError, Undetermined
 from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.plane import Plane
 from imgu_ros.reasons import NO_CAMERA_INFO, NO_SIZE, no_pose, why_ambiguous
 from imgu_ros.result import PoseStatus, ReferenceResult
-from imgu_ros.types import Matrix3, Points
+from imgu_ros.types import Floats, Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography_unchecked
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
@@ -24,6 +25,15 @@ from imgu_ros.vision.projective.homography import HomographyEstimate, Homography
 
 #: A target whose outline covers less than this in the frame is not one.
 _MIN_AREA_PX = 100.0
+#: Largest standard deviation of the outline's corners, rms over the four, px, where the whole reference in view looks
+#: as it should.
+_MOST_UNCERTAIN_PX = 3.0
+#: The same where a part of it is covered: its corners are extrapolated from the rest, by up to ten times the error that
+#: the residuals tell (labels under a hand).
+_MOST_UNCERTAIN_COVERED_PX = 1.0
+#: As a share of the outline's side, where that is more: of a target many times as large as the frame the corners are
+#: far out of view.
+_MOST_UNCERTAIN_SHARE = 2.5e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +46,9 @@ class Located:
     homography : H_image_template in ideal px
     normal_equations : of the correspondences; None: not computed
     halvings : of the level of the frame in which they were found; 0: full resolution
+    H_seen : H_image_template where a rolling shutter shows the reference, for its track; None: as `homography`
+    told_covariance : (9, 9) of the homography by the correspondences alone, where its own also has a motion that nobody
+        knows; None: its own
     """
 
     template_xy: Points
@@ -43,6 +56,8 @@ class Located:
     homography: HomographyEstimate
     normal_equations: HomographyNormalEquations | None = None
     halvings: int = 0
+    H_seen: Matrix3 | None = None
+    told_covariance: Floats | None = None
 
 
 @lru_cache(maxsize=8)
@@ -63,7 +78,13 @@ def with_homography(found: ReferenceResult, plane: Plane, located: Located, came
     lens = distorting_camera(camera)
     if lens is not None:
         outline = lens.raw_pixels(outline)
-    return replace(found, homography=located.homography, outline=outline, is_sharp=located.halvings == 0)
+    return replace(
+        found,
+        homography=located.homography,
+        outline=outline,
+        is_sharp=located.halvings == 0,
+        H_seen=located.H_seen,
+    )
 
 
 def planar_pose(
@@ -135,6 +156,33 @@ def seen_outline(plane: Plane, H: Matrix3) -> Points:
     if not w.min() > 0:
         raise DegenerateConfiguration("H: a part of the target would lie behind the camera")
     return np.column_stack((x / w, y / w))
+
+
+def corner_uncertainty_px(plane: Plane, located: Located) -> float:
+    """Return the standard deviation of the outer corners by the correspondences, rms over the four, ideal px."""
+    corners, estimate = plane.outline_homogeneous, located.homography
+    covariance = estimate.covariance if located.told_covariance is None else located.told_covariance
+    x, y, w = estimate.H @ corners
+    at = corners / w  # (3, 4)
+    J = np.zeros((2, 4, 3, 3))
+    J[0, :, 0] = J[1, :, 1] = at.T
+    J[:, :, 2] = -np.stack((x / w, y / w))[:, :, None] * at.T
+    rows = J.reshape(8, 9)
+    variance = float(((rows @ covariance) * rows).sum())
+    return math.sqrt(max(variance, 0.0) / 4)
+
+
+def require_determined(plane: Plane, located: Located, is_covered: bool = False) -> None:
+    """Raise `Undetermined` when the corners of a reference, a part of which may be covered, are too uncertain."""
+    sigma = corner_uncertainty_px(plane, located)
+    most = _MOST_UNCERTAIN_COVERED_PX if is_covered else _MOST_UNCERTAIN_PX
+    if sigma <= most:
+        return
+    if not is_covered:
+        side = math.sqrt(abs(cv2.contourArea(seen_outline(plane, located.homography.H).astype(np.float32))))
+        most = max(most, _MOST_UNCERTAIN_SHARE * side)
+    if not sigma <= most:
+        raise Undetermined(f"its corners are known to {sigma:.1f} px, {most:g} px needed")
 
 
 def require_plausible(plane: Plane, estimate: HomographyEstimate) -> None:

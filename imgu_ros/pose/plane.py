@@ -15,21 +15,23 @@ class Plane:
     ----------
     width, height : of the template, px
     width_m : printed width, outer edge to outer edge; 0: unknown
+    margin : width of the paper about the outer edges that the template shows, px
 
     Attributes
     ----------
+    size : width and height
     outline : (4, 2) template px, the outer corners: top left, top right, bottom right, bottom left
     outline_homogeneous : (3, 4), the same in homogeneous coordinates, one a column
     metres_from_template : (3, 3) affine; the metric frame has its origin at the centre, x right, y up
     """
 
-    def __init__(self, width: int, height: int, width_m: float) -> None:
+    def __init__(self, width: int, height: int, width_m: float, margin: int = 0) -> None:
         self.size = width, height
         self.width_m = width_m
-        right, bottom = width - 0.5, height - 0.5
-        self.outline = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+        left, right, bottom = margin - 0.5, width - margin - 0.5, height - margin - 0.5
+        self.outline = np.array([[left, left], [right, left], [right, bottom], [left, bottom]])
         self.outline_homogeneous = np.vstack((self.outline.T, np.ones(4)))
-        scale = width_m / width
+        scale = width_m / (width - 2 * margin)
         self.metres_from_template = np.array(
             [[scale, 0, -scale * (width - 1) / 2], [0, -scale, scale * (height - 1) / 2], [0, 0, 1]]
         )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from threading import Lock
@@ -199,11 +199,15 @@ def thorough_features(grey: Image, options: DescriptionOptions, extractor: Featu
     """
     views = [_described(grey, options, extractor, round(_RICHNESS * options.max_count))]
     views += [_oblique(grey, options, extractor, math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS)]
-    keypoints = [view.keypoints for view in views]
-    together = Keypoints(
+    keypoints = together([view.keypoints for view in views])
+    return _gathered(Descriptions(keypoints, np.concatenate([view.descriptors for view in views])), options)
+
+
+def together(keypoints: Sequence[Keypoints]) -> Keypoints:
+    """Return several keypoints as one, in their order."""
+    return Keypoints(
         *(np.concatenate([getattr(k, name) for k in keypoints]) for name in Keypoints.__dataclass_fields__)
     )
-    return _gathered(Descriptions(together, np.concatenate([view.descriptors for view in views])), options)
 
 
 def _oblique(
@@ -223,7 +227,8 @@ def _oblique(
     k = described.keypoints
     xy = (PixelScaling((_SHORTENING, 1.0)).to_full_unchecked(k.xy) + offset) @ R
     inside = np.flatnonzero(((xy >= 0) & (xy <= (width - 1, height - 1))).all(axis=1))
-    from_front = Keypoints(xy, k.scale * math.sqrt(_SHORTENING), k.angle, k.response, k.octave)
+    angle = (k.angle + direction_rad + math.pi) % (2 * math.pi) - math.pi
+    from_front = Keypoints(xy, k.scale * math.sqrt(_SHORTENING), angle, k.response, k.octave)
     return Descriptions(from_front.chosen(inside), described.descriptors[inside])
 
 

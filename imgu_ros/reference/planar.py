@@ -28,6 +28,7 @@ from imgu_ros.reference.features import (
 )
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import (
+    LightTemplates,
     TargetImage,
     TemplatePyramids,
     Templates,
@@ -43,7 +44,7 @@ class PlanarReference(Reference):
     Parameters
     ----------
     name, number, image : see `Reference` and `TargetImage`
-    templates : for alignment
+    templates, light : for alignment
     front : keypoints and descriptors at every scale
     close, thorough : those for the search of a reference that is near, and for a thorough search
     pose_parameters : for the pose
@@ -56,13 +57,14 @@ class PlanarReference(Reference):
         number: int,
         image: TargetImage,
         templates: Templates,
+        light: LightTemplates,
         front: FeaturesOnDemand,
         close: FeaturesOnDemand,
         thorough: FeaturesOnDemand,
         pose_parameters: PoseParameters,
     ) -> None:
         height, width = image.pixels.shape[:2]
-        super().__init__(image.name, number, Plane(width, height, image.width_m), templates)
+        super().__init__(image.name, number, Plane(width, height, image.width_m), templates, light)
         self.image = image
         self.front = front
         self.close = close
@@ -127,6 +129,7 @@ def planar_reference(
         number,
         image,
         cache.make(Templates, pyramids, p.refinement.max_points),
+        cache.make(LightTemplates, image, weights),
         cache.make(_on_demand, target_features, grey, first, extractor),
         cache.make(_on_demand, close_features, grey, first, extractor),
         cache.make(_on_demand, thorough_features, grey, thorough, extractor),

@@ -11,8 +11,11 @@ from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located
 from imgu_ros.pose.plane import Plane
-from imgu_ros.reference.templates import TemplateOctave
+from imgu_ros.reference.marker_code import MarkerCode
+from imgu_ros.reference.self_similarity import Copy, copies_of
+from imgu_ros.reference.templates import LightTemplates, TemplateOctave
 from imgu_ros.result import ReferenceResult
+from imgu_ros.types import Points
 
 
 class Reference(ABC):
@@ -25,6 +28,7 @@ class Reference(ABC):
     plane : its outline and metric frame
     templates : its image at every octave, from fine to coarse, with the patches that are aligned with frames, by
         whether their values are linear in the light, as those of raw frames, or sRGB
+    light : its colours and its grey in floats, for the refinement on raw samples; None: there is none
 
     Attributes
     ----------
@@ -38,17 +42,28 @@ class Reference(ABC):
     """
 
     kind: ClassVar[str]
+    #: Whether nothing is known of what lies beyond the template's border; else it goes on as there.
+    ends_at_border: ClassVar[bool] = False
+    #: What tells it from others of its family; None: its picture alone.
+    marker_code: MarkerCode | None = None
 
     def __init__(
-        self, name: str, number: int, plane: Plane, templates: Mapping[bool, Sequence[TemplateOctave]]
+        self,
+        name: str,
+        number: int,
+        plane: Plane,
+        templates: Mapping[bool, Sequence[TemplateOctave]],
+        light: LightTemplates | None = None,
     ) -> None:
         self.name = name
         self.number = number
         self.plane = plane
         self.templates = templates
+        self.light = light
         # Attributes, not properties: the tracker reads them in every frame.
         self.size, self.width_m = plane.size, plane.width_m
         self.outline_template, self.outline_homogeneous = plane.outline, plane.outline_homogeneous
+        self._copies: dict[bool, tuple[Copy, ...]] = {}
 
     @abstractmethod
     def has_template_of(self, other: Reference) -> bool:
@@ -90,3 +105,18 @@ class Reference(ABC):
         """Compute what the first frame that shows another octave would have to wait for; see `templates`."""
         for octave in self.templates[linear]:
             _ = octave.corners
+
+    def edge_patches(self, scale: float) -> Points | None:
+        """Return centres of patches that hold every edge, template px; None: those that agree are as good.
+
+        Parameters
+        ----------
+        scale : px of the frame in one px of the template
+        """
+        return None
+
+    def copies(self, linear: bool) -> tuple[Copy, ...]:
+        """Return where the reference looks like itself, in template px; see `templates` for `linear`."""
+        if linear not in self._copies:
+            self._copies[linear] = copies_of(self.templates[linear])
+        return self._copies[linear]

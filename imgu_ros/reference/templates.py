@@ -5,13 +5,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import cv2
 import numpy as np
 
-from imgu_ros.image.frame_image import grey_of
+from imgu_ros.image.frame_image import LightKind, grey_of
+from imgu_ros.image.raw_samples import LightLevel, light_levels
+from imgu_ros.reference.template_cells import TemplateCells
 from imgu_ros.types import Image, Points
-from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
+from imgu_ros.vision.formation.transfer import light_of_srgb, linear_from_srgb, srgb_from_linear
 from imgu_ros.vision.keypoints.spreading import spread
 from imgu_ros.vision.matching.patch_bank import PatchBank
 from imgu_ros.vision.scale_space.pyramid import Level, PixelScaling, PyramidKind, build_pyramid
@@ -34,7 +37,11 @@ class TargetImage:
     pixels : (H, W) or (H, W, 3) RGB, uint8
     width_m : printed width, outer edge to outer edge; 0: unknown
     is_linear : whether values go with the light, as a sensor's; else they are sRGB, as those of image files
+    kind : of the reference that is made of it, a key of `imgu_ros.reference_kinds.KINDS`; empty: as the parameter
+        `reference` says
     """
+
+    kind: ClassVar[str] = ""
 
     name: str
     pixels: Image
@@ -74,6 +81,11 @@ class TemplateOctave:
     def corners(self) -> Points:
         """Centres of patches, best spread first: (N, 2) px of the full-resolution template."""
         return _corners(self.level, self._count)
+
+    @cached_property
+    def cells(self) -> TemplateCells:
+        """Cells that are compared with frames, see `imgu_ros.reference.verification`."""
+        return TemplateCells(self.level.image)
 
 
 class TemplatePatches(PatchBank):
@@ -151,6 +163,39 @@ class Templates(dict[bool, tuple[TemplateOctave, ...]]):
     def __missing__(self, linear: bool) -> tuple[TemplateOctave, ...]:
         self[linear] = tuple(TemplateOctave(level, self._max_points) for level in self._pyramids[linear])
         return self[linear]
+
+    __hash__ = object.__hash__  # type: ignore[assignment]  # a key of the build cache, by identity
+
+
+class LightTemplates(dict[LightKind, tuple[LightLevel, ...]]):
+    """An image in floats at every octave, as the raw samples of a sensor are compared with it.
+
+    Parameters
+    ----------
+    image : the image
+    grey_weights : of red, green and blue; not used for a grey image
+    """
+
+    def __init__(self, image: TargetImage, grey_weights: tuple[float, ...]) -> None:
+        super().__init__()
+        self._image = image
+        self._grey_weights = grey_weights
+
+    def __missing__(self, kind: LightKind) -> tuple[LightLevel, ...]:
+        image = self._image
+        if kind is LightKind.CODED:
+            pixels = srgb_from_linear(image.pixels) if image.is_linear else image.pixels
+            light = pixels.astype(np.float32) / np.float32(255)
+        else:
+            values = np.linspace(0, 1, 256) if image.is_linear else light_of_srgb()
+            light = values.astype(np.float32)[image.pixels]
+        if kind is LightKind.COLOR:
+            light = light if light.ndim == 3 else np.stack((light, light, light), axis=2)
+        elif light.ndim == 3:
+            weights = np.divide(self._grey_weights, sum(self._grey_weights)).astype(np.float32)
+            light = np.asarray(light @ weights, np.float32)
+        self[kind] = light_levels(np.ascontiguousarray(light))
+        return self[kind]
 
     __hash__ = object.__hash__  # type: ignore[assignment]  # a key of the build cache, by identity
 

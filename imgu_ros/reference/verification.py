@@ -1,69 +1,185 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a frame shows a target where an estimate says it is: the share of it that looks as it should.
+"""Whether a frame shows a target where an estimate says it is: every pose is verified so before it goes out.
 
-Agreeing keypoints say that some part of a target is there; a part may also belong to another picture that shares it
-(a logo, a header, a texture), and a chance agreement of a few leads nowhere. So the whole of the target is compared,
-cell by cell, as far as it is in view.
+Keypoints or patches that agree say that some part of a target is there; a part may also belong to another picture
+that shares it (a logo, a header), to another place of a target that repeats itself, or agree by chance. So the whole
+visible face is compared with the frame, cell by cell. For each cell there are two explanations: the target, at the
+contrast and brightness that most cells agree on, with errors of registration where it has gradients; or something
+else, with the variance that the frame has there. The logarithm of the ratio of their likelihoods says whether the cell
+supports the pose, contradicts it, or says nothing: a flat cell of the target supports none, and contradicts a pose
+where the frame has texture.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from imgu_ros.errors import NotConfirmed
 from imgu_ros.image.frame_image import FrameImage
+from imgu_ros.reference.code_reading import read_code
+from imgu_ros.reference.contradictions import (
+    SATURATED,
+    print_log_ratio,
+    scatter_of,
+    supported_together,
+)
+from imgu_ros.reference.frame_samples import FrameSamples, PartInView, SeenCells, frame_samples, octave_of, part_in_view
 from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.template_cells import CELL, CellMoments, cell_means
 from imgu_ros.reference.templates import TemplateOctave
-from imgu_ros.types import Floats, Image, Mask, Matrix3, Points
+from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
-#: Standard deviation of a cell of the reference, grey values, below which it has too little contrast to count.
+#: Share of the textured cells in view that must support a pose. Between the shares of targets that are 60 % hidden and
+#: those of an image that has the upper 30 % of the target and nothing else of it. Measured: benchmarks/thresholds.py,
+#: study confirmation.
+NEEDED = 0.305
+#: Share of the cells with texture that must support it: flat cells agree with flat ones at wrong places, too. Measured:
+#: benchmarks/thresholds.py, study confirmation.
+_NEEDED_OF_TEXTURE = 0.19
+#: Share from which on a pose is confirmed wherever its contradicting cells are. Measured: benchmarks/thresholds.py,
+#: study confirmation.
+_SURE = 0.8
+#: The same for the next coarser octave, where a frame is blurred. Measured: benchmarks/thresholds.py, study
+#: confirmation.
+_SURE_WHEN_BLURRED = 0.9
+#: Share from which on nothing else is looked at, when at most so many cells contradict: others are looked at closely.
+#: Measured: benchmarks/thresholds.py, study contradictions.
+_CLEAR, _FEW_AGAINST = 0.95, 1
+#: Standard deviations of the blurs with which a template is compared, samples: a sharp frame, and blurred ones.
 #: Measured: benchmarks/thresholds.py, study confirmation.
-_FLAT = 4.0
+_BLURS = (0.0, 0.8, 1.6, 3.2)
+#: The same in a closer look, whose samples are smoothed. Measured: benchmarks/thresholds.py, study contradictions.
+_CLOSE_BLURS = (0.4, 0.8, 1.6, 3.2)
+#: Blur from which on a frame is blurred, samples.
+_BLURRED = 1.6
+#: Largest scatter of contradicting cells below that: an occluder covers connected cells (0), those of a wrong pose lie
+#: everywhere (1). Measured: benchmarks/thresholds.py, study confirmation.
+_SCATTERED = 0.5
+#: The same where less than a share looks as it should: of another label of like layout two fifths do, here and there.
+#: Measured: benchmarks/negatives.py.
+_SCATTERED_MOSTLY, _MOSTLY = 0.4, 0.6
+#: Log-likelihood ratio of another print of the same design over an occluder from which on no pose goes out: that of
+#: two cells. Measured: benchmarks/thresholds.py, study contradictions.
+_ANOTHER_PRINT = 6.0
+#: Share of what is in view that looks as it should from which on it is no other print: a camera's curve that is not
+#: known yet changes the brightness of a few cells.
+_WHOLE = 0.985
+#: Textured cells in view without which nothing can be said.
+_FEWEST = 12
+#: Noise of a sample, grey values. Measured: benchmarks/thresholds.py, study confirmation.
+_NOISE = 3.0
+#: Error of registration, samples. Measured: benchmarks/thresholds.py, study confirmation.
+_MISPLACED = 0.35
+#: Independent samples in a cell: neighbours are alike. Measured: benchmarks/thresholds.py, study confirmation.
+_INDEPENDENT = 5.0
+#: A cell's contrast may differ by this factor from that of most (shading, highlights). Measured:
+#: benchmarks/thresholds.py, study confirmation.
+_CONTRAST = 1.5
+#: Its brightness may differ by this share. Measured: benchmarks/thresholds.py, study confirmation.
+_SHADING = 0.12
+#: Weight of the evidence of a cell's brightness: that of its neighbours is hardly another.
+_BRIGHTNESS_WEIGHT = 0.2
+#: Most that one cell can say (log-likelihood ratio). Measured: benchmarks/thresholds.py, study confirmation.
+_MOST = 6.0
+#: Most that one cell says for a blur, in a closer look. Measured: benchmarks/thresholds.py, study contradictions.
+_MOST_FOR_BLUR = 2.0
+#: The least that counts as support or contradiction. Measured: benchmarks/thresholds.py, study confirmation.
+_LEAST = 1.5
+#: Correlation of a textured cell from which on its contrast counts. Measured: benchmarks/thresholds.py, study
+#: confirmation.
+_ALIKE = 0.6
+#: Cells of such a correlation that the contrast is taken from, at least.
+_FEWEST_ALIKE = 3
+#: Variance of the brightness of anything, grey values squared, beside that of the frame's cells.
+_ANYTHING = 400.0
+#: Difference of two log-likelihood ratios from which on one is better: that of two cells.
+_DECIDED = 12.0
+#: The same, as a share of the larger: errors of two alignments differ.
+_DECIDED_SHARE = 0.03
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """A way to compare a target with a frame, cell by cell.
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a frame says of a pose.
 
     Attributes
     ----------
-    cells, samples : cells along the longer side of what is in view, samples along each side of a cell
-    alike : correlation (ncc) from which on a cell looks as it should, if half of those beside it do too
-    fewest : cells in view without which nothing can be said
-    needed : share of the cells in view that must look as they should
+    share : share of what is in view that looks as it should, 0 to 1: of the cells that support or contradict the pose,
+        or of the area about such cells, whichever is larger
+    textured_share : the same of the cells with texture alone
+    telling : number of the cells that support or contradict
+    scatter : how the contradicting cells lie among the others: 0 in one piece, about 1 at random
+    log_ratio : (rows, columns) of each cell of the octave, the logarithm of the likelihood ratio; 0 outside the frame
+    blur : standard deviation of the blur at which the template fits best, samples
+    cell_area : of a cell in the frame, raw px
+    print_log_ratio : how much likelier the contradicting cells show another print of the same design than something
+        that covers the target, the logarithm of the ratio
+    is_clear : nothing contradicts
     """
 
-    cells: int
-    samples: int
-    alike: float
-    fewest: int
-    needed: float
+    share: float
+    textured_share: float
+    telling: int
+    scatter: float
+    log_ratio: Floats
+    blur: float
+    cell_area: float
+    print_log_ratio: float = 0.0
+    is_clear: bool = False
+
+    @property
+    def weight(self) -> float:
+        """What all cells say together, of the area in the frame: comparable between targets."""
+        return float(self.log_ratio.sum()) * self.cell_area
+
+    @property
+    def is_confirming(self) -> bool:
+        """Whether the pose may go out."""
+        if self.is_another_print:
+            return False
+        if not self.is_covered:
+            return True
+        scattered = _SCATTERED if self.share >= _MOSTLY else _SCATTERED_MOSTLY
+        return self.share >= NEEDED and self.textured_share >= _NEEDED_OF_TEXTURE and self.scatter <= scattered
+
+    @property
+    def is_another_print(self) -> bool:
+        """Whether what does not look as it should is print, as of another one of the same design."""
+        return self.print_log_ratio >= _ANOTHER_PRINT
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether much of what is in view does not look as it should."""
+        return self.share < _SURE
 
 
-#: The four cells beside one.
-_BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
+def better_of(first: Evidence | None, second: Evidence | None) -> int | None:
+    """Return 0 or 1, the one of two explanations of a frame that fits better; None where neither does clearly.
 
-#: Small cells: an occluder spoils every cell that it touches. Between the shares of references that are 60 % hidden and
-#: those of an image that has the upper 30 % of the reference and nothing else of it. Measured:
-#: benchmarks/thresholds.py, study confirmation.
-FINE = Comparison(cells=32, samples=5, alike=0.75, fewest=24, needed=0.325)
-#: Large cells still correlate in a blurred frame. Measured: benchmarks/thresholds.py, study confirmation.
-COARSE = Comparison(cells=16, samples=8, alike=0.6, fewest=12, needed=0.45)
+    Both are of close looks.
+    """
+    if first is None or second is None:
+        return None if first is second else int(first is None)
+    cell = max(first.cell_area, second.cell_area)
+    most = max(abs(first.weight), abs(second.weight))
+    difference = second.weight - first.weight
+    if abs(difference) < max(_DECIDED * cell, _DECIDED_SHARE * most):
+        return None
+    return int(difference > 0)
 
 
-def require_confirmed(pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None) -> float:
-    """Return the share of a target in view that looks as it should where an estimate says it is.
+def require_confirmed(frame: FrameImage, target: Reference, H: Matrix3, camera: Camera | None) -> Evidence:
+    """Return what a frame says of a pose.
 
     Parameters
     ----------
-    pictures : the frame's
+    frame : the frame's image
     target : the target
     H : H_image_template in ideal px, the target in front of the camera
     camera : intrinsics when the lens distorts; else None
@@ -71,127 +187,186 @@ def require_confirmed(pictures: FrameImage, target: Reference, H: Matrix3, camer
     Raises
     ------
     NotConfirmed
-        If it is too little.
+        If the frame does not show the target there.
     """
-    share = confirmed_share(pictures, target, H, camera)
-    if share >= FINE.needed:
-        return share
-    coarse = confirmed_share(pictures, target, H, camera, COARSE)
-    if coarse < COARSE.needed:
-        raise NotConfirmed(f"{share:.0%} of what is in view looks as it should, {FINE.needed:.0%} needed", share)
-    return coarse
+    return require_confirming(evidence(frame, target, H, camera))
 
 
-def confirmed_share(
-    pictures: FrameImage, target: Reference, H: Matrix3, camera: Camera | None, comparison: Comparison = FINE
-) -> float:
-    """Return the share of a target's cells in view that the frame shows, 0 to 1; 0 where too few are in view.
+def require_confirming(found: Evidence | None) -> Evidence:
+    """Return what a frame says of a pose; raise `NotConfirmed` when it does not show the target there."""
+    if found is None:
+        raise NotConfirmed("too little of it is in view to compare", 0.0)
+    if not found.is_confirming:
+        if found.share < NEEDED:
+            raise NotConfirmed(
+                f"{found.share:.0%} of what is in view looks as it should, {NEEDED:.1%} needed", found.share
+            )
+        rest = "is another print" if found.is_another_print else "differs here and there"
+        raise NotConfirmed(f"{found.share:.0%} of what is in view looks as it should, the rest {rest}", found.share)
+    return found
+
+
+def confirmed_share(frame: FrameImage, target: Reference, H: Matrix3, camera: Camera | None) -> float:
+    """Return the share of a target in view that looks as it should, 0 to 1; 0 where too little is in view.
 
     Parameters
     ----------
-    pictures, target, H, camera : as for `require_confirmed`
-    comparison : how
+    frame, target, H, camera : as for `require_confirmed`
     """
-    width, height = target.size
-    window = _window_in_view(pictures, H, camera, width, height)
-    if window is None:
-        return 0.0
-    extent = window[1] - window[0]
-    n = comparison.samples
-    columns, rows = np.maximum(np.rint(extent * comparison.cells / extent.max()).astype(int), 1).tolist()
-    size = columns * n, rows * n
-    step = extent / size
-    # Template px from samples.
-    A = np.array([[step[0], 0, window[0, 0] + step[0] / 2], [0, step[1], window[0, 1] + step[1] / 2], [0, 0, 1]])
-    x, y = (np.arange(count + 1) * n - 0.5 for count in (columns, rows))
-    corners = _raw(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2), H @ A, camera)
-    inside = _inside(corners, pictures.shape).reshape(rows + 1, columns + 1)
-    in_view = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
-    area = _median_area(corners.reshape(rows + 1, columns + 1, 2)) / n**2
-    seen = _seen(pictures, H @ A, camera, size, area)
-    octaves = target.templates[pictures.is_linear]
-    return _alike(_drawn(octaves, A, size), seen, in_view.ravel(), comparison)
+    found = evidence(frame, target, H, camera)
+    return 0.0 if found is None else found.share
 
 
-def _window_in_view(pictures: FrameImage, H: Matrix3, camera: Camera | None, width: int, height: int) -> Points | None:
-    """Return the smallest rectangle of the template, (2, 2) px, that holds what is in view; None when nothing is."""
-    count = 25
-    x, y = (np.linspace(-0.5, side - 0.5, count) for side in (width, height))
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    seen = grid[_inside(_raw(grid, H, camera), pictures.shape)]
-    if len(seen) < 4:
+def evidence(
+    frame: FrameImage, target: Reference, H: Matrix3, camera: Camera | None, is_close: bool = False
+) -> Evidence | None:
+    """Return what a frame says of a pose; None where too little of the target is in view.
+
+    Parameters
+    ----------
+    frame, target, H, camera : as for `require_confirmed`
+    is_close : look closely in any case, as what is compared with another explanation needs; else where a first look
+        finds contradictions
+    """
+    if target.marker_code is not None:
+        read = read_code(frame, target.marker_code, H, camera)
+        if read is None:
+            return None
+        return Evidence(read.share, read.share, read.count, read.scatter, read.log_ratio, read.blur, read.cell_area)
+    part = part_in_view(frame, target, H, camera)
+    if part is None:
         return None
-    spacing = np.array((width, height)) / (count - 1)
-    low = np.maximum(seen.min(axis=0) - spacing, -0.5)
-    high = np.minimum(seen.max(axis=0) + spacing, (width - 0.5, height - 0.5))
-    return np.stack((low, high))
+    look = _Look(frame, target.templates[frame.is_linear], H, camera, part)
+    if not is_close:
+        found = _compared(look, octave_of(look.octaves, target.size, part, is_close=False), is_close=False)
+        if found is not None and found.is_clear:
+            return found
+    index = octave_of(look.octaves, target.size, part, is_close=True)
+    found = _compared(look, index, is_close=True)
+    is_blurred = found is not None and found.blur >= _BLURRED and NEEDED <= found.share < _SURE
+    if is_blurred and index + 1 < len(look.octaves):
+        # Blur in one direction leaves more to compare in a coarser octave.
+        coarser = _compared(look, index + 1, is_close=True)
+        if coarser is not None and coarser.share >= _SURE_WHEN_BLURRED:
+            return coarser
+    return found
 
 
-def _raw(template_xy: Points, H: Matrix3, camera: Camera | None) -> Points:
-    mapped = template_xy @ H[:, :2].T + H[:, 2]
-    ideal = mapped[:, :2] / mapped[:, 2:]
-    return ideal if camera is None else camera.raw_pixels(ideal)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """What is compared with what: see `evidence`."""
+
+    frame: FrameImage
+    octaves: Sequence[TemplateOctave]
+    H: Matrix3
+    camera: Camera | None
+    part: PartInView
 
 
-def _inside(raw_xy: Points, shape: tuple[int, int]) -> Mask:
-    inside: Mask = ((raw_xy >= 0) & (raw_xy <= (shape[1] - 1, shape[0] - 1))).all(axis=1)
-    return inside
+def _compared(look: _Look, index: int, is_close: bool) -> Evidence | None:
+    """Return what a frame says of a pose, by an octave; None where too little is in view."""
+    samples = frame_samples(look.frame, look.octaves[index], look.H, look.camera, look.part, is_close)
+    if samples is None or np.count_nonzero(samples.in_view) < _FEWEST:
+        return None
+    seen, cells, (rows, columns) = samples.image, samples.cells, samples.where
+    block = np.s_[CELL * rows.start : CELL * rows.stop, CELL * columns.start : CELL * columns.stop]
+    mean = cell_means(seen)
+    variance = np.maximum(cell_means(seen * seen) - mean * mean, 0)
+    found: Evidence | None = None
+    chosen: SeenCells | None = None
+    best = -math.inf
+    for tried, blur in enumerate(_CLOSE_BLURS if is_close else _BLURS):
+        known = cells.blurred(blur)
+        covariance = cell_means(seen * known.image[block]) - mean * known.mean[samples.where]
+        light = _light(known, samples, mean, variance, covariance)
+        if light is None:
+            continue
+        compared = SeenCells(seen, mean, variance, covariance, samples.in_view, known, samples.where, *light)
+        judged = _judged(compared)
+        # Few cells that fit very well do not outweigh those that contradict.
+        total = float((np.minimum(judged, _MOST_FOR_BLUR) if is_close else judged).sum())
+        if total > best:
+            best = total
+            found, chosen = _summed(judged, samples, known, blur), compared
+        if found is not None and found.share >= _SURE and (tried or not is_close):
+            break
+    if found is None or chosen is None:
+        telling = int(np.count_nonzero(cells.blurred(0.0).is_textured[samples.where] & samples.in_view))
+        if telling < _FEWEST:
+            return None
+        nothing = np.zeros((cells.rows, cells.columns), np.float32)
+        return Evidence(0.0, 0.0, telling, 1.0, nothing, 0.0, samples.cell_area)
+    if found.telling < _FEWEST:
+        return None
+    if is_close and NEEDED <= found.share < _WHOLE and not found.is_clear:
+        against = found.log_ratio[samples.where] < -_LEAST
+        return replace(found, print_log_ratio=print_log_ratio(chosen, against))
+    return found
 
 
-def _median_area(corners: Floats) -> float:
-    """Return the median area of the cells, px, from their corners (rows, columns, 2)."""
-    along, down = np.diff(corners, axis=1)[:-1], np.diff(corners, axis=0)[:, :-1]
-    return float(np.median(np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])))
+def _light(
+    known: CellMoments, samples: FrameSamples, mean: Floats, variance: Floats, covariance: Floats
+) -> tuple[float, float] | None:
+    """Return gain and offset of a frame's grey values over those of the template; None where few cells are alike."""
+    power = known.variance[samples.where]
+    alike = known.is_textured[samples.where] & samples.in_view & (covariance > 0)
+    alike &= covariance * covariance > _ALIKE**2 * power * (variance + _NOISE**2)
+    if np.count_nonzero(alike) < _FEWEST_ALIKE:
+        return None
+    gain = _median(covariance[alike] / power[alike])
+    return gain, _median(mean[alike] - gain * known.mean[samples.where][alike])
 
 
-def _drawn(octaves: Sequence[TemplateOctave], A: Matrix3, size: tuple[int, int]) -> Image:
-    """Return the target at the samples, from the level whose pixels are about as far apart."""
-    scales = np.array([octave.level.scale for octave in octaves])
-    level = octaves[int(np.argmin(np.abs(np.log(scales / math.sqrt(A[0, 0] * A[1, 1])))))].level
-    M = PixelScaling(level.step).reduced_from_full @ A
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(level.image, M[:2], size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+def _judged(cells: SeenCells) -> Floats:
+    """Return the logarithms of the cells' likelihood ratios."""
+    known, where, mean, variance, covariance = cells.known, cells.where, cells.mean, cells.variance, cells.covariance
+    expected, power, gradient = known.mean[where], known.variance[where], known.gradient[where]
+    noise, gain = _NOISE**2, cells.gain
+    # Structure: the residual at the cell's own contrast, near that of most.
+    contrast = np.minimum(np.maximum(covariance / np.maximum(power, 1e-3), gain / _CONTRAST), gain * _CONTRAST)
+    residual = variance - contrast * (2 * covariance - contrast * power)
+    misplaced = (_MISPLACED * gain) ** 2 * gradient
+    explained, other = misplaced + noise, variance + noise
+    ratio = (_INDEPENDENT / 2) * (np.log(other / explained) + variance / other - residual / explained)
+    np.minimum(np.maximum(ratio, -_MOST, out=ratio), _MOST, out=ratio)
+    # Brightness.
+    predicted = gain * expected + cells.offset
+    usual, deviation = (float(each[0, 0]) for each in cv2.meanStdDev(mean))
+    spread = deviation * deviation + _ANYTHING
+    tolerance = (_SHADING * np.maximum(predicted, 0)) ** 2 + 4 * noise + misplaced / 4
+    away = mean - predicted
+    elsewhere = mean - usual
+    bright = (np.log(spread / tolerance) + elsewhere * elsewhere / spread - away * away / tolerance) / 2
+    # Most of what is right: little for it, much against it.
+    ratio += np.minimum(np.maximum(bright, -_MOST), np.minimum(_BRIGHTNESS_WEIGHT * np.maximum(bright, 0), _MOST))
+    ratio[~cells.in_view | (mean > SATURATED)] = 0
+    judged: Floats = ratio
+    return judged
 
 
-def _seen(pictures: FrameImage, H: Matrix3, camera: Camera | None, size: tuple[int, int], area: float) -> Image:
-    """Return the frame at the samples, from the picture whose pixels are about as far apart."""
-    halvings = min(round(math.log2(max(math.sqrt(area), 1.0))), pictures.most_halvings)
-    picture, scaling = pictures.halved(halvings), PixelScaling(2.0**halvings)
-    if camera is None:
-        M = scaling.reduced_from_full @ H
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return cv2.warpPerspective(picture, M, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    x, y = (np.arange(count, dtype=np.float64) for count in size)
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    at = scaling.from_full_unchecked(_raw(grid, H, camera)).astype(np.float32).reshape(size[1], size[0], 2)
-    map_x, map_y = (np.ascontiguousarray(at[..., axis]) for axis in (0, 1))
-    return cv2.remap(picture, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+def _summed(ratio: Floats, samples: FrameSamples, known: CellMoments, blur: float) -> Evidence:
+    log_ratio = np.zeros((samples.cells.rows, samples.cells.columns), np.float32)
+    log_ratio[samples.where] = ratio
+    is_textured = known.is_textured[samples.where]
+    against = ratio < -_LEAST
+    supports = (ratio > _LEAST) & is_textured
+    telling = supports | against
+    count, textured = int(np.count_nonzero(telling)), int(np.count_nonzero(telling & is_textured))
+    supporting = int(np.count_nonzero(supports))
+    if supporting >= _CLEAR * count:
+        is_clear = int(np.count_nonzero(against)) <= _FEW_AGAINST
+        share = supporting / max(count, 1)
+        return Evidence(share, 1.0, count, 0.0, log_ratio, blur, samples.cell_area, is_clear=is_clear)
+    supporting = int(np.count_nonzero(supported_together(supports, telling)))
+    # Of a print with flat parts few cells have texture: then the area about them counts.
+    votes = cv2.boxFilter(ratio, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    decided = (np.abs(votes) > 2 * _LEAST) & (ratio != 0)
+    area = int(np.count_nonzero(decided & (votes > 0))) / max(int(np.count_nonzero(decided)), 1)
+    share = max(supporting / max(count, 1), area)
+    scatter = scatter_of(against, samples.in_view)
+    return Evidence(share, supporting / max(textured, 1), count, scatter, log_ratio, blur, samples.cell_area)
 
 
-def _alike(drawn: Image, seen: Image, in_view: Mask, comparison: Comparison) -> float:
-    a, b = (_cells(picture.astype(np.float32), comparison.samples) for picture in (drawn, seen))
-    power_a, power_b = np.einsum("ij,ij->i", a, a), np.einsum("ij,ij->i", b, b)
-    counted = (power_a >= _FLAT**2 * a.shape[1]) & in_view
-    if np.count_nonzero(counted) < comparison.fewest:
-        return 0.0
-    product = np.einsum("ij,ij->i", a, b)
-    alike = (product > 0) & (product * product >= comparison.alike**2 * power_a * power_b) & (power_b > 0)
-    shape = drawn.shape[0] // comparison.samples, drawn.shape[1] // comparison.samples
-    supported = _supported((alike & counted).reshape(shape), counted.reshape(shape))
-    return float(np.count_nonzero(supported) / np.count_nonzero(counted))
-
-
-def _supported(alike: Mask, counted: Mask) -> Mask:
-    """Return which alike cells (rows, columns) have as many alike as other cells beside them: few are so by chance."""
-    beside_alike, beside = (
-        cv2.filter2D(cells.astype(np.uint8), -1, _BESIDE, borderType=cv2.BORDER_CONSTANT) for cells in (alike, counted)
-    )
-    supported: Mask = alike & (2 * beside_alike >= beside)
-    return supported
-
-
-def _cells(picture: Image, n: int) -> Image:
-    """Return the pixels of each cell of n x n, less their mean, in a row."""
-    rows, columns = picture.shape[0] // n, picture.shape[1] // n
-    cells = picture.reshape(rows, n, columns, n).swapaxes(1, 2).reshape(rows * columns, -1)
-    return cells - cells.mean(axis=1, keepdims=True)
+def _median(values: Floats) -> float:
+    # np.median takes ten times as long.
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])

@@ -23,17 +23,27 @@ from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.output_folder import OutputFiles, check_output_folder, output_folder
+from imgu_ros.simulate.capture import Capture
+from imgu_ros.simulate.exposure import ExposureTruth, saturated_share, write_exposures
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
 from imgu_ros.simulate.truth import Truth, write_truth
 from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.vision.formation.layout import ColorModel
 from imgu_ros.vision.formation.sensor import Sensor
+from imgu_ros.vision.formation.transfer import TransferFunction, encode_light
 
 IMAGE_TOPIC = "/camera/image_raw"
 CAMERA_INFO_TOPIC = "/camera/camera_info"
 TRUTH_FILE = "truth.csv"
+EXPOSURE_FILE = "exposure.csv"
 PARAMETER_FILE = "params.yaml"
 
+#: The value of `raw.transfer` for each transfer function: the nearest one.
+_PARAMETER_OF_TRANSFER = {
+    TransferFunction.LINEAR: "linear",
+    TransferFunction.SRGB: "srgb",
+    TransferFunction.FILM: "srgb",
+}
 #: Where the bag is written, in a folder of its name.
 _UNFINISHED = "bag.part"
 
@@ -68,7 +78,7 @@ def record_simulation(
     overwrite: bool = False,
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
 ) -> tuple[Truth, ...]:
-    """Simulate a sequence into the folder `out`: a rosbag2, template images, truth.csv and params.yaml.
+    """Simulate a sequence into the folder `out`: a rosbag2, template images, truth.csv, exposure.csv and params.yaml.
 
     Parameters
     ----------
@@ -102,9 +112,10 @@ def record_simulation(
     frames = simulate_sequence(simulation, targets, workers=min(4, os.cpu_count() or 1))
     pending = next(frames, None)
     truths: list[Truth] = []
+    exposures: list[ExposureTruth] = []
     with HeldExitStack() as stack:
         folder = stack.enter_context(output_folder(out, contents, overwrite=overwrite))
-        _write_side_files(out, targets, simulation.sensor)
+        _write_side_files(out, targets, simulation)
         unfinished = f"{_UNFINISHED}/{name}"
         place = folder.make(_UNFINISHED) / name
         bag = stack.enter_context(BagWriter(place, bag_format.storage, bag_format.compression))
@@ -123,12 +134,15 @@ def record_simulation(
             with folder.writing():
                 bag.write(IMAGE_TOPIC, image, frame.stamp_ns)
             truths += pending.truths
+            saturated = saturated_share(frame.image.pixels, simulation.sensor)
+            exposures.append(ExposureTruth(frame.stamp_ns, pending.exposure, saturated))
             done += 1
             on_progress(done, simulation.frames)
             pending = next(frames, None)
         with held():
             bag.close()
             write_truth(out / TRUTH_FILE, truths)
+            write_exposures(out / EXPOSURE_FILE, exposures, simulation.capture, simulation.sensor)
             folder.publish(*((f"{unfinished}/{file}", file) for file in bag_files(name, bag_format.storage)))
     return tuple(truths)
 
@@ -152,9 +166,23 @@ def simulation_files(out: Path, targets: Sequence[TargetImage], storage: str) ->
     """Return the files of a simulation; those of the bag come last, so that part of a bag is not taken for a bag."""
     name = _bag_name(out)
     unfinished = (f"{_UNFINISHED}/{name}/{file}" for file in unfinished_bag_files(name))
-    side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE)
+    side_files = (*(f"{target.name}.png" for target in targets), PARAMETER_FILE, TRUTH_FILE, EXPOSURE_FILE)
     bag = bag_files(name, storage)
     return OutputFiles("simulation", (*unfinished, *side_files, *bag), bag[-1])
+
+
+def raw_parameters(sensor: Sensor | None, capture: Capture) -> dict[str, object]:
+    """Return the parameters of the group `raw` that undo what a sensor and a capture do, where the defaults do not."""
+    # Said of colours too, which otherwise count as sRGB.
+    raw: dict[str, object] = {"transfer": _PARAMETER_OF_TRANSFER[capture.transfer]}
+    if sensor is None or sensor.bits > 8:
+        raw["significant_bits"] = 16 if sensor is None else sensor.bits
+    if sensor is not None and sensor.black_level_dn:
+        raw["black_level"] = float(sensor.black_level_dn)
+    if capture.sensitivities != (1.0, 1.0, 1.0):
+        # They act on values, after the transfer function: at full scale they are right for every one.
+        raw["gains"] = np.round(1 / encode_light(capture.sensitivities, capture.transfer), 6).tolist()
+    return raw
 
 
 def _check_path(out: Path) -> None:
@@ -176,7 +204,7 @@ def _bag_name(out: Path) -> str:
     return Path(os.path.abspath(out)).name or "bag"
 
 
-def _write_side_files(out: Path, targets: Sequence[TargetImage], sensor: Sensor | None) -> None:
+def _write_side_files(out: Path, targets: Sequence[TargetImage], simulation: Simulation) -> None:
     paths = [Path(os.path.realpath(out)) / f"{target.name}.png" for target in targets]
     for path, target in zip(paths, targets, strict=True):
         write_image(path, target.pixels)
@@ -187,12 +215,6 @@ def _write_side_files(out: Path, targets: Sequence[TargetImage], sensor: Sensor 
             "names": [target.name for target in targets],
         }
     }
-    # A simulated sensor has no transfer function, also when it gives colours.
-    raw: dict[str, object] = {"transfer": "linear"}
-    if sensor is None or sensor.bits > 8:
-        raw["significant_bits"] = 16 if sensor is None else sensor.bits
-    if sensor is not None and sensor.black_level_dn:
-        raw["black_level"] = float(sensor.black_level_dn)
-    values["raw"] = raw
+    values["raw"] = raw_parameters(simulation.sensor, simulation.capture)
     text = yaml.safe_dump({"/**": {"ros__parameters": values}}, sort_keys=False, allow_unicode=True)
     write_text(out / PARAMETER_FILE, text)

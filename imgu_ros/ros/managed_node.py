@@ -16,6 +16,7 @@ from imgu_ros.config.components import OutputParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import ImguError, ParameterError
 from imgu_ros.messages.diagnostics import HealthEntry, diagnostics_message
+from imgu_ros.process_memory import return_free_memory
 from imgu_ros.ros.background_services import BackgroundAction, BackgroundServices
 from imgu_ros.ros.frame_input import FrameInput
 from imgu_ros.ros.frame_worker import FrameWorker
@@ -34,6 +35,8 @@ _END_S = 1.0
 _WATCH_S = 0.1
 _REST_S = 0.2
 _DIAGNOSTICS_S = 1.0
+#: Interval at which free memory is returned to the system.
+_FREE_MEMORY_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +228,7 @@ class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
     def _start_timers(self) -> None:
         self._watch_timer = self.create_timer(_REST_S, self._watch, clock=self._steady)
         self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=self._steady)
+        self.create_timer(_FREE_MEMORY_S, return_free_memory, clock=self._steady)
 
     def _node_state(self) -> NodeState:
         return NodeState(

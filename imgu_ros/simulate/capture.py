@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a camera takes a picture: for how long, row by row or at once, through which aperture, how bright."""
+"""How a camera takes a picture: for how long, row by row or at once, through which aperture and colour filters, how
+bright, and with which transfer function.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +19,7 @@ from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.optics import ThinLens
 from imgu_ros.vision.formation.shutter import row_times
+from imgu_ros.vision.formation.transfer import TransferFunction
 
 #: Distance of the sharp pictures that make a blurred one: below a pixel's width their mean shows no copies.
 _MOTION_STEP_PX = 0.5
@@ -24,11 +27,16 @@ _DISC_STEP_PX = 1.0
 _MOST_VIEWS = 256
 _LARGEST_DEFOCUS_PX = 40.0
 _LARGEST_EV = 10.0
+#: Its inverse is the largest white-balance gain that `raw.gains` takes.
+_LEAST_SENSITIVITY = 0.01
+_MOST_SATURATED = 0.99
 
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """Shutter, aperture and exposure of the simulated camera; by default an instant, a pinhole, and no compensation.
+    """Shutter, aperture, colour filters, exposure and transfer function of the simulated camera.
+
+    By default an instant, a pinhole, alike in all colours, no compensation, linear.
 
     The stamp of a frame, and its truth, are of the middle of the exposure of the middle of the picture. The camera's
     matrix K stays as it is: with a lens, its focal length in pixels times the pitch is the image distance.
@@ -43,6 +51,10 @@ class Capture:
     pitch_m : distance of pixels on the sensor; with the f-number it sets the aperture
     ev : exposure compensation, in stops, of successive equal parts of the sequence; at 0 a white surface gives 0.9 of
         full scale, whatever exposure time and f-number: the light is chosen so
+    saturated : share of the pixel values of every frame at the white level; sets the exposure instead of `ev`
+    sensitivities : of the red, green and blue pixels of a mosaic without white balance, 0.01 to 1; what `ev` says holds
+        for 1
+    transfer : from the signal above black to the values that are quantised
     """
 
     exposure_s: float = 0.0
@@ -52,6 +64,9 @@ class Capture:
     focus_m: float | None = None
     pitch_m: float = 3.45e-6
     ev: tuple[float, ...] = (0.0,)
+    saturated: float | None = None
+    sensitivities: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    transfer: TransferFunction = TransferFunction.LINEAR
 
     @property
     def is_ideal(self) -> bool:
@@ -98,6 +113,15 @@ def check_capture(capture: Capture, height: int, rate_hz: float) -> None:
         raise ParameterError(f"pixel pitch: {capture.pitch_m * 1e6:g} um; need 0.1 to 1000")
     if not capture.ev or not all(-_LARGEST_EV <= ev <= _LARGEST_EV for ev in capture.ev):
         raise ParameterError(f"ev: {list(capture.ev)}; need numbers from {-_LARGEST_EV:g} to {_LARGEST_EV:g}")
+    if capture.saturated is not None and not 0 < capture.saturated <= _MOST_SATURATED:
+        raise ParameterError(f"saturated: {capture.saturated:g}; need more than 0, up to {_MOST_SATURATED:g}")
+    if capture.saturated is not None and any(capture.ev):
+        raise ParameterError(f"saturated: {capture.saturated:g} with ev {list(capture.ev)}; need one or the other")
+    if len(capture.sensitivities) != 3 or not all(_LEAST_SENSITIVITY <= s <= 1 for s in capture.sensitivities):
+        got = ", ".join(f"{value:g}" for value in capture.sensitivities)
+        raise ParameterError(
+            f"sensitivities: {got}; need 3 numbers (red, green, blue) from {_LEAST_SENSITIVITY:g} to 1"
+        )
 
 
 def thin_lens(capture: Capture, camera: Camera, focus_m: float) -> ThinLens:

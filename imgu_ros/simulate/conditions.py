@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from imgu_ros.errors import ParameterError, nearest_name
+from imgu_ros.simulate.capture import Capture
 from imgu_ros.simulate.path import CameraMotion
 from imgu_ros.simulate.placing import Placing
 from imgu_ros.vision.camera.distortion_model import DistortionModel
+from imgu_ros.vision.formation.transfer import TransferFunction
 
 
 class SceneContent(StrEnum):
@@ -33,6 +35,7 @@ class Condition:
     description : for people
     show : what stands before the camera
     placing : what is prescribed of the view
+    capture : how the camera takes the picture, but for its row time: see `readout`
     occluded : share of the target's area behind something opaque
     specular : share of the target's area that highlights saturate
     blur_px, defocus_px : length of motion blur, diameter of the defocus disc
@@ -49,6 +52,7 @@ class Condition:
     description: str
     show: SceneContent = SceneContent.TARGET
     placing: Placing = field(default_factory=Placing)
+    capture: Capture = field(default_factory=Capture)
     occluded: float = 0.0
     specular: float = 0.0
     blur_px: float = 0.0
@@ -78,6 +82,19 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("specular", "highlights saturate 20 % of the target", specular=0.2),
     *(Condition(f"defocus-{n}", f"out of focus, a disc of {n} px", defocus_px=n) for n in (4, 8)),
     Condition("noise-snr-10", "signal to noise 10 in every pixel", snr=10.0),
+    Condition(
+        "no-white-balance",
+        "red has 0.5, blue 0.65 of the sensitivity of green",
+        capture=Capture(sensitivities=(0.5, 1.0, 0.65)),
+    ),
+    *(
+        Condition(f"transfer-{transfer}", f"values follow the {name} curve", capture=Capture(transfer=transfer))
+        for transfer, name in ((TransferFunction.SRGB, "sRGB"), (TransferFunction.FILM, "film"))
+    ),
+    *(
+        Condition(f"saturated-{p}", f"{p} % of the pixels at the white level", capture=Capture(saturated=p / 100))
+        for p in (2, 10, 30)
+    ),
     Condition("plumb-bob", "lens with plumb_bob distortion", lens=DistortionModel.PLUMB_BOB),
     Condition("equidistant", "lens with equidistant distortion", lens=DistortionModel.EQUIDISTANT),
     Condition("rolling-shutter", "read out during a fifth of the frame period", readout=0.2),

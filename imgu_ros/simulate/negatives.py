@@ -10,6 +10,7 @@ import numpy as np
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.frame import Frame
+from imgu_ros.simulate.exposure import WHITE
 from imgu_ros.simulate.pictures import look_alike
 from imgu_ros.simulate.sequence import SimulatedFrame, default_camera
 from imgu_ros.types import Image, Matrix3, as_image
@@ -58,10 +59,12 @@ def absent_frames(
             H = _within(alike, size, rng)
             mask = cv2.warpPerspective(np.full(alike.shape[:2], 255, np.uint8), H, size, flags=cv2.INTER_LINEAR)
             picture = np.where(mask[:, :, None] > 127, _warped(alike, H, size), picture)
-        light = (picture.astype(np.float32) / 255) ** np.float32(2.2) * np.float32(0.9 * rng.uniform(0.4, 1.2))
+        exposure = WHITE * rng.uniform(0.4, 1.2)
+        light = (picture.astype(np.float32) / 255) ** np.float32(2.2) * np.float32(exposure)
         pixels = expose(mosaic(light, BayerPattern.RGGB), Sensor(), rng)
         raw = RawImage(pixels, PixelLayout(ColorModel.BAYER, BayerPattern.RGGB))
-        yield SimulatedFrame(Frame(raw, _START_NS + index * _PERIOD_NS, "camera_optical_frame", camera), ())
+        frame = Frame(raw, _START_NS + index * _PERIOD_NS, "camera_optical_frame", camera)
+        yield SimulatedFrame(frame, (), exposure)
 
 
 def _covering(photograph: Image, size: tuple[int, int], rng: np.random.Generator) -> Matrix3:

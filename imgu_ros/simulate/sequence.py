@@ -17,6 +17,7 @@ from imgu_ros.errors import ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.simulate.capture import Capture, check_capture, views_of
+from imgu_ros.simulate.exposure import WHITE, take_picture
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.path import CameraMotion, camera_from_scene_at
 from imgu_ros.simulate.render import Renderer
@@ -28,10 +29,8 @@ from imgu_ros.vision.camera.intrinsics import Camera, DistortionModel, make_came
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
-from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
+from imgu_ros.vision.formation.sensor import Sensor
 
-#: Light on a white surface, as a share of what saturates the sensor, without exposure compensation.
-_EXPOSURE = 0.9
 #: Every frame leaves its truth in memory, and takes 25 bytes a pixel while it is made, up to four at once.
 _MOST_FRAMES, _MOST_PIXELS = 1_000_000, 2**26
 #: Part of the motion over which the path is well described by one cubic.
@@ -60,7 +59,7 @@ class Simulation:
     sensor : noise and bit depth; None: no noise, 16 bits
     motion : ranges of the camera's path
     camera : intrinsics; None: 61 degrees wide, without distortion
-    capture : shutter, aperture, exposure; by default an instant seen through a pinhole
+    capture : shutter, aperture, colour filters, exposure; by default an instant seen through a pinhole
     start_ns : stamp of the first frame
     frame_id : the camera's optical frame
     """
@@ -81,10 +80,18 @@ class Simulation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """One frame and the truth about every target of which it shows a part."""
+    """One frame and its truth.
+
+    Attributes
+    ----------
+    frame : what the camera delivers
+    truths : of every target of which it shows a part
+    exposure : signal of a white surface in a pixel of sensitivity 1, 1 saturates
+    """
 
     frame: Frame
     truths: tuple[Truth, ...]
+    exposure: float
 
 
 def simulate_sequence(
@@ -176,11 +183,10 @@ def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, ren
     else:
         smooth_s = _SMOOTH_PROGRESS * steps / simulation.rate_hz
         radiance = renderer.mean_radiance(views_of(capture, pose_at, smooth_s, camera, scene))
-    light = radiance * np.float32(_EXPOSURE * capture.brightness(index, simulation.frames))
-    if simulation.sensor is None:
-        pixels = quantise(light, 16)
-    else:
-        pixels = expose(light, simulation.sensor, np.random.default_rng([simulation.seed, index, 0x5E45]))
+    exposure = WHITE * capture.brightness(index, simulation.frames)
+    rng = np.random.default_rng([simulation.seed, index, 0x5E45])
+    light = radiance * np.float32(exposure)
+    pixels, factor = take_picture(light, simulation.layout, capture, simulation.sensor, rng)
     pixels.flags.writeable = False
     frame = Frame(RawImage(pixels, simulation.layout), stamp, simulation.frame_id, camera)
     size = camera.width, camera.height
@@ -190,7 +196,7 @@ def _frame(index: int, simulation: Simulation, scene: Scene, camera: Camera, ren
         H = image_from_template(camera.K, camera_from_target, template_matrix(target))
         if points_in_image(H, target_grid(size_of(target), 9), size, camera).any():
             truths.append(Truth(stamp, target.name, H, camera_from_target))
-    return SimulatedFrame(frame, tuple(truths))
+    return SimulatedFrame(frame, tuple(truths), exposure * factor)
 
 
 def check_simulation(simulation: Simulation) -> None:
@@ -207,6 +213,9 @@ def check_simulation(simulation: Simulation) -> None:
     if not (math.isfinite(simulation.rate_hz) and 1e-3 <= simulation.rate_hz <= 1e5):
         raise ParameterError(f"rate: {simulation.rate_hz:g} Hz; need 0.001 to 100000 Hz")
     check_capture(simulation.capture, height, simulation.rate_hz)
+    if simulation.layout.pattern is None and simulation.capture.sensitivities != (1.0, 1.0, 1.0):
+        got = ", ".join(f"{value:g}" for value in simulation.capture.sensitivities)
+        raise ParameterError(f"sensitivities: {got} of {simulation.layout.color} pixels; need a Bayer pattern")
     camera = simulation.camera
     if camera is not None and (camera.width, camera.height) != (width, height):
         raise ParameterError(f"camera: {camera.width}x{camera.height}; need the image size, {width}x{height}")

@@ -17,7 +17,7 @@ import numpy as np
 
 from imgu_ros.frame import Frame
 from imgu_ros.reference.templates import TargetImage
-from imgu_ros.simulate.capture import Capture, views_of
+from imgu_ros.simulate.capture import check_capture, views_of
 from imgu_ros.simulate.conditions import Condition, SceneContent
 from imgu_ros.simulate.disturbances import (
     TargetField,
@@ -31,6 +31,7 @@ from imgu_ros.simulate.disturbances import (
     motion_blurred,
     vignetting,
 )
+from imgu_ros.simulate.exposure import WHITE, take_picture
 from imgu_ros.simulate.geometry import image_from_template
 from imgu_ros.simulate.levels import Levels
 from imgu_ros.simulate.pictures import look_alike, repeated_picture
@@ -44,7 +45,7 @@ from imgu_ros.types import Image
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
-from imgu_ros.vision.formation.sensor import Sensor, expose
+from imgu_ros.vision.formation.sensor import Sensor
 
 TARGET, ALIKE = "poster", "alike"
 WIDTH_M = 0.5
@@ -53,7 +54,6 @@ LAP_FRAMES = 120
 _COPY = "copy"
 _RATE_HZ = 30.0
 _START_NS = 1_700_000_000_000_000_000
-_WHITE = 0.9
 #: Gains of exposure steps, each for three frames: from one to the next the light doubles or halves.
 _STEPS = (1.0, 2.0, 1.0, 0.5)
 _STEP_FRAMES = 3
@@ -122,6 +122,8 @@ class _Stage:
     def __init__(self, trial: Trial) -> None:
         self._trial = trial
         c = trial.condition
+        self._capture = replace(c.capture, row_time_s=c.readout / _RATE_HZ / trial.height)
+        check_capture(self._capture, trial.height, _RATE_HZ)
         lens = c.lens or "plumb_bob"
         self._camera = default_camera(trial.width, trial.height, lens, TYPICAL_LENSES[c.lens] if c.lens else ())
         self._scene = _scene(trial)
@@ -146,27 +148,35 @@ class _Stage:
             return camera_before_target(p, trial.condition.placing, self._camera, self._scene, seed)
 
         pose = pose_at(0.0)
-        light = self._light(index, progress, pose, pose_at)
-        pixels = expose(light, self._sensor, np.random.default_rng([trial.seed, index, 0x7121]))
+        exposure = WHITE * self._capture.brightness(index % LAP_FRAMES, LAP_FRAMES)
+        light = self._light(index, progress, pose, pose_at, exposure)
+        step = self._step(index)
+        rng = np.random.default_rng([trial.seed, index, 0x7121])
+        pixels, factor = take_picture(light * np.float32(step), _BAYER, self._capture, self._sensor, rng)
         pixels.flags.writeable = False
         stamp = _START_NS + round(index * 1e9 / _RATE_HZ)
         frame = Frame(RawImage(pixels, _BAYER), stamp, "camera_optical_frame", self._camera)
-        return SimulatedFrame(frame, self._truths(pose, stamp))
+        return SimulatedFrame(frame, self._truths(pose, stamp), exposure * step * factor)
 
     def _light(
-        self, index: int, progress: float, pose: RigidTransform, pose_at: Callable[[float], RigidTransform]
+        self,
+        index: int,
+        progress: float,
+        pose: RigidTransform,
+        pose_at: Callable[[float], RigidTransform],
+        exposure: float,
     ) -> Image:
         c, trial = self._trial.condition, self._trial
-        if c.readout:
-            capture = Capture(row_time_s=c.readout / _RATE_HZ / trial.height)
-            smooth_s = _SMOOTH_PROGRESS * (LAP_FRAMES - 1) / _RATE_HZ
-            light = self._renderer.mean_radiance(views_of(capture, pose_at, smooth_s, self._camera, self._scene))
-        else:
+        if self._capture.is_ideal:
             light = self._renderer.radiance(pose)
-        light *= np.float32(_WHITE)
+        else:
+            smooth_s = _SMOOTH_PROGRESS * (LAP_FRAMES - 1) / _RATE_HZ
+            views = views_of(self._capture, pose_at, smooth_s, self._camera, self._scene)
+            light = self._renderer.mean_radiance(views)
+        light *= np.float32(exposure)
         phase = 2 * math.pi * (progress + 0.618 * index * trial.unrelated)
         if self._field is not None:
-            light = self._with_field(light, pose, phase)
+            light = self._with_field(light, pose, phase, exposure)
         if c.blur_px:
             light = motion_blurred(light, c.blur_px, 2 * phase)
         if c.defocus_px:
@@ -175,19 +185,23 @@ class _Stage:
             light = light * (self._shade if light.ndim == 2 else self._shade[:, :, None])
         if c.flicker:
             light = light * flicker(trial.height, c.flicker, 2.4 * index)
-        if c.exposure_steps:
-            steps = _STEPS if not trial.unrelated else (0.5, 2.0)
-            light = light * np.float32(steps[index // _STEP_FRAMES % len(steps)])
         return as_mosaic(light, BayerPattern.RGGB)
 
-    def _with_field(self, light: Image, pose: RigidTransform, phase: float) -> Image:
+    def _step(self, index: int) -> float:
+        """Return the factor of the light by exposure steps."""
+        if not self._trial.condition.exposure_steps:
+            return 1.0
+        steps = _STEPS if not self._trial.unrelated else (0.5, 2.0)
+        return steps[index // _STEP_FRAMES % len(steps)]
+
+    def _with_field(self, light: Image, pose: RigidTransform, phase: float, exposure: float) -> Image:
         c, target, size = self._trial.condition, self._scene.targets[0], (self._trial.width, self._trial.height)
         assert self._field is not None
         H = image_from_template(self._camera.K, pose.after(self._scene.poses[0]), template_matrix(target))
         field = self._field.in_image(self._field.above(c.occluded or c.specular, phase), H, size)
         if self._cover is None:
             return highlighted(light, field)
-        cover = cover_texture(self._cover, size, phase) * np.float32(_WHITE)
+        cover = cover_texture(self._cover, size, phase) * np.float32(exposure)
         return covered(light, field, cover if self._in_color else as_mosaic(cover, BayerPattern.RGGB))
 
     def _truths(self, pose: RigidTransform, stamp: int) -> tuple[Truth, ...]:
@@ -217,7 +231,7 @@ def _sensor(condition: Condition, target: TargetImage) -> Sensor:
     if condition.snr is None:
         return Sensor()
     levels = Levels(target.pixels)
-    mean = float(np.mean([levels.plane(0, color).mean() for color in "rggb"])) * _WHITE
+    mean = float(np.mean([levels.plane(0, color).mean() for color in "rggb"])) * WHITE
     return Sensor(full_well_e=electrons_for_snr(condition.snr, Sensor().read_noise_e) / mean)
 
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -12,13 +13,24 @@ import numpy as np
 from imgu_ros.config.parameters import RefinementParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import Located, seen_outline
+from imgu_ros.pose.planar_pose import seen_outline
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TemplateOctave
+from imgu_ros.track.edge_patches import edge_patches, edge_patches_near
+from imgu_ros.track.patch_squares import atlas_about
+from imgu_ros.track.sample_refinement import (
+    NO_HINTS,
+    AlignedPatches,
+    FrameHints,
+    PatchAlignment,
+    has_samples,
+    mapped,
+    refined_on_samples,
+)
 from imgu_ros.types import Image, Indices, Matrix3, Points
 from imgu_ros.vision.camera.distortion import distort
 from imgu_ros.vision.camera.intrinsics import Camera
-from imgu_ros.vision.matching.patch_atlas import LONGEST_PX, PatchAtlas
+from imgu_ros.vision.matching.patch_atlas import PatchAtlas
 from imgu_ros.vision.matching.patch_bank import LocalDistortion, PatchBank
 from imgu_ros.vision.projective.homography import homography_normal_equations_unchecked
 from imgu_ros.vision.projective.plane_motion import BlurGain, Motion
@@ -40,6 +52,14 @@ _COARSE_SHARE = 0.5
 _BLURRED = 0.6
 #: Number of patches in a level that gives a start. Measured: benchmarks/thresholds.py, study reach.
 _COARSE_PATCHES = 80
+#: Number of patches that give the start of the refinement on raw samples, and are refined.
+_START_PATCHES = 64
+#: Share of them that must agree; else all are aligned.
+_MOST_AGREE = 0.7
+#: Raw samples alone bridge such an error where their patches hold every edge, raw px.
+_DIRECT_PX = 2.0
+#: Levels halved more often show a blur too wide for the samples' point spread.
+_MOST_BLURRED = 1
 #: Most iterations in a level that gives a start. Measured: benchmarks/thresholds.py, study reach.
 _COARSE_STEPS = 8
 #: Motion below which iterations stop in such a level, px of the level. Measured: benchmarks/thresholds.py, study reach.
@@ -75,12 +95,6 @@ _BLURRED_SHARE = 0.2
 #: With fewer patches an affine motion is fitted: two parameters less. Measured: benchmarks/thresholds.py, study
 #: tracking.
 _ENOUGH_FOR_PROJECTIVE = 40
-#: Margin around the patches of an atlas, px: for their motion, for interpolation, and for demosaicking. Measured:
-#: benchmarks/thresholds.py, study tracking.
-_SHEET_ROOM_PX = 4
-#: Largest area of an atlas, as a share of the frame: a larger one saves nothing. Measured: benchmarks/thresholds.py,
-#: study tracking.
-_SHEET_SHARE = 0.4
 #: Factor by which lens distortion may enlarge patches. Measured: benchmarks/thresholds.py, study tracking.
 _MOST_STRETCHED = 1.3
 #: Scaling of a frame halved so many times; no frame can be halved more often.
@@ -106,20 +120,6 @@ class AlignmentOptions:
     enough_px: float
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class PatchAlignment(Located):
-    """Where the alignment of its patches found a reference; the correspondences are those of the patches that agree.
-
-    Attributes
-    ----------
-    sought : number of patches that were aligned
-    agreeing_share : share of them that agree, 0 to 1
-    """
-
-    sought: int
-    agreeing_share: float
-
-
 def align_patches(
     frame: FrameImage,
     reference: Reference,
@@ -128,10 +128,12 @@ def align_patches(
     parameters: RefinementParameters,
     min_points: int,
     reach_px: float,
+    hints: FrameHints = NO_HINTS,
 ) -> PatchAlignment:
     """Align a reference with a frame, starting from a homography that is nearly right.
 
-    Where full resolution shows no patches (blur), the result is that of a reduced level.
+    Where full resolution shows no patches (blur), the result is that of a reduced level. Where the frame has raw
+    samples that agree, they give the result, and few patches its start.
 
     Parameters
     ----------
@@ -142,12 +144,43 @@ def align_patches(
     parameters : number and size of the patches
     min_points : fewest patches that must agree
     reach_px : largest error of H, raw px
+    hints : what earlier frames tell
 
     Raises
     ------
     NoConsensus, TooFewPoints, DegenerateConfiguration
         If the patches do not agree on a homography.
     """
+    if has_samples(frame, reference):
+        edges = edge_patches(reference, H)
+        if edges is not None and reach_px <= _DIRECT_PX:
+            with contextlib.suppress(EstimationError):
+                return refined_on_samples(frame, reference, edges, camera, min_points, hints)
+        few = replace(parameters, max_points=min(parameters.max_points, _START_PATCHES))
+        with contextlib.suppress(EstimationError):
+            start = _aligned(frame, reference, H, camera, few, min_points, reach_px)
+            if edges is not None:
+                edges = edge_patches_near(reference, edges, start.outcome, few.window_px)
+                return refined_on_samples(frame, reference, edges, camera, min_points, hints)
+            if start.halvings > 0 or start.agreeing < _MOST_AGREE * start.sought:
+                # Where a part is hidden, few of few are left; in blur, few do not tell enough.
+                start = _aligned(frame, reference, H, camera, parameters, min_points, reach_px)
+            if start.halvings > _MOST_BLURRED:
+                return start.result(min_points)
+            return refined_on_samples(frame, reference, start.outcome, camera, min_points, hints)
+    return _aligned(frame, reference, H, camera, parameters, min_points, reach_px).result(min_points)
+
+
+def _aligned(
+    frame: FrameImage,
+    reference: Reference,
+    H: Matrix3,
+    camera: Camera | None,
+    parameters: RefinementParameters,
+    min_points: int,
+    reach_px: float,
+) -> LevelAlignment:
+    """Return the alignment with the finest level that gives a result; parameters and errors: see `align_patches`."""
     found: LevelAlignment | None = None
     failure: EstimationError | None = None
     for halvings in [*range(_first_halvings(frame, reference, H, reach_px), 0, -_STRIDE), 0]:
@@ -169,7 +202,7 @@ def align_patches(
             del failure
     if not found.converged:
         raise NoConsensus(f"patches: they still move by {found.largest_px:.2f} px; need a better start")
-    return found.result(min_points)
+    return found
 
 
 class LevelAlignment:
@@ -222,7 +255,7 @@ class LevelAlignment:
         atlas = None
         if halvings == 0:
             window_px = options.window_px * (1.0 if camera is None else _MOST_STRETCHED)
-            atlas = _atlas_of(xy, self._patches.bounds, image_from_bank, shape, window_px)
+            atlas = atlas_about(xy, self._patches.bounds, image_from_bank, shape, window_px)
         image = frame.halved(halvings) if atlas is None else frame.cut(atlas)
         self._align(image, atlas, image_from_bank, options)
 
@@ -263,7 +296,7 @@ class LevelAlignment:
         for _ in range(options.steps):
             lens = None
             if self._camera is not None:
-                lens = self._distortion(self._camera, _mapped(image_from_bank, centres[:count]))
+                lens = self._distortion(self._camera, mapped(image_from_bank, centres[:count]))
             seen = patches.displacements_unchecked(
                 patches.sampled_unchecked(image, image_from_bank, lens, atlas, count)
             )
@@ -302,6 +335,13 @@ class LevelAlignment:
         self.gain = gain.weakest
         self._motion, self._displacements, self._usable, self._H_before = motion, displacements, usable, full @ before
 
+    @property
+    def outcome(self) -> AlignedPatches:
+        """What a refinement begins with."""
+        agreeing = self._motion.agreeing & self._usable
+        template_xy = self._template_xy[self._patches.chosen[agreeing]]
+        return AlignedPatches(self.H, template_xy, self.halvings, self.sought)
+
     def result(self, min_points: int) -> PatchAlignment:
         """Return the correspondences of the patches and their homography, by least squares without outliers.
 
@@ -321,7 +361,7 @@ class LevelAlignment:
         homography = normal_equations.estimate
         kept = homography.inliers
         template_xy = self._template_xy[patches.chosen[kept]]
-        image_xy = _mapped(self._H_before, patches.centres[kept] - self._displacements[kept])
+        image_xy = mapped(self._H_before, patches.centres[kept] - self._displacements[kept])
         if self._camera is not None:
             image_xy = self._camera.raw_pixels(image_xy)
         share = len(template_xy) / self.sought
@@ -408,38 +448,3 @@ def _nearest_level(reference: Reference, linear: bool, H: Matrix3, scale: float)
         if len(levels[index].corners):
             return levels[index]
     raise NoConsensus("patches: the target has none; need texture")
-
-
-def _atlas_of(
-    xy: Points, bounds: tuple[float, ...], image_from_bank: Matrix3, shape: tuple[int, int], window_px: float
-) -> PatchAtlas | None:
-    """Return the squares of an image about patches, centred at `xy` (N, 2) px; None when that saves little.
-
-    `bounds` are left, top, right and bottom of the centres, px of the bank; `shape` is the image's.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = image_from_bank.tolist()
-    left, top, right, bottom = bounds
-    # A homography enlarges most at a corner of the centres' bounding box.
-    enlarged = 0.0
-    for x, y in ((left, top), (right, top), (right, bottom), (left, bottom)):
-        w = g * x + h * y + i
-        if not w > 0:
-            return None
-        u, v = (a * x + b * y + c) / w, (d * x + e * y + f) / w
-        enlarged = max(enlarged, (abs(a - u * g) + abs(b - u * h)) / w, (abs(d - v * g) + abs(e - v * h)) / w)
-    half = enlarged * (window_px // 2) + _SHEET_ROOM_PX
-    height, width = shape
-    if not half < min(shape):
-        return None
-    side = 2 * math.ceil(half)
-    if side > min(shape) - 2 or len(xy) * side > min(LONGEST_PX, _SHEET_SHARE * height * width / side):
-        return None
-    # Even pixels: a quad of the mosaic begins there.
-    origins = (np.rint(xy).astype(np.intp) - side // 2) & -2
-    np.minimum(origins, ((width - side) & -2, (height - side) & -2), out=origins)
-    return PatchAtlas.unchecked(np.maximum(origins, 0, out=origins), side)
-
-
-def _mapped(H: Matrix3, points: Points) -> Points:
-    at = points @ H[:, :2].T + H[:, 2]
-    return np.asarray(at[:, :2] / at[:, 2:])

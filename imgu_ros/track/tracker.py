@@ -7,6 +7,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -14,13 +15,17 @@ import numpy as np
 from imgu_ros.config.parameters import RefinementParameters
 from imgu_ros.errors import DegenerateConfiguration, EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage
-from imgu_ros.pose.planar_pose import distorting_camera, require_plausible
+from imgu_ros.pose.planar_pose import distorting_camera, require_determined, require_plausible
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
-from imgu_ros.track.patch_alignment import PatchAlignment, align_patches
+from imgu_ros.result import ReferenceMatches, ReferenceResult, SampledPatches, Status
+from imgu_ros.track.known_patches import align_known, are_known
+from imgu_ros.track.patch_alignment import align_patches
+from imgu_ros.track.sample_refinement import FrameHints, Observation, PatchAlignment
 from imgu_ros.track.shift_search import shifted_homography
 from imgu_ros.types import Floats, Matrix3
 from imgu_ros.vision.camera.intrinsics import Camera
+from imgu_ros.vision.matching.matches import Matches
 from imgu_ros.vision.projective.logarithm import exponential, logarithm
 from imgu_ros.vision.projective.transform import inverse3
 
@@ -35,6 +40,8 @@ _SURPRISE = 1.5
 _LEAST_REACH_PX = 2.0
 #: Prediction error allowed for when no motion is known, raw px. Measured: benchmarks/thresholds.py, study reach.
 _UNKNOWN_REACH_PX = 24.0
+#: Patches that are known bridge a longer error after a search for a shift, raw px.
+_SHIFTED_PX = 6.0
 #: Longest shift that is searched, as a share of the frame's width. Measured: benchmarks/thresholds.py, study reach.
 _LONGEST_SHIFT = 0.1
 #: Range of the ratio of two frame intervals within which the motion is extrapolated; outside, the last position is
@@ -52,6 +59,37 @@ _MOST_OBSERVATIONS = 3
 _MEMORY = 0.5
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A reference where its track led, and the share of it in view that looks as it should."""
+
+    alignment: PatchAlignment
+    confirmed_share: float
+
+
+def followed_result(reference: Reference, followed: Followed, status: Status) -> ReferenceResult:
+    """Return the result of a reference that was followed: its matches are the aligned patches, which all agree."""
+    alignment = followed.alignment
+    count = len(alignment.template_xy)
+    matches = ReferenceMatches(_no_keypoints(count), alignment.template_xy, alignment.image_xy, np.ones(count, bool))
+    return ReferenceResult(
+        reference.name,
+        reference.number,
+        status,
+        matches=matches,
+        confirmed_share=followed.confirmed_share,
+        sampled=alignment.sampled,
+    )
+
+
+@lru_cache(maxsize=256)
+def _no_keypoints(count: int) -> Matches:
+    """Return `count` matches that name no keypoints."""
+    none, distance = np.full(count, -1, np.intp), np.zeros(count)
+    none.flags.writeable = distance.flags.writeable = False  # in many results
+    return Matches(none, none, distance)
+
+
 def follow(
     reference: Reference,
     track: Track,
@@ -60,7 +98,7 @@ def follow(
     camera: Camera | None,
     parameters: RefinementParameters,
     min_inliers: int,
-) -> PatchAlignment:
+) -> Followed:
     """Find a reference where its track leads.
 
     Parameters
@@ -78,18 +116,19 @@ def follow(
     """
     reason = "track: lost"
     lens = distorting_camera(camera)
-    for start in _starts(track, reference, stamp_ns, frame.shape[1]):
+    sampled = track.sampled
+    hints = FrameHints(None if sampled is None else sampled.spread, stamp_ns, track.observations)
+    # How rows move is told by where the reference is: that has to be known better than by a prediction.
+    known = sampled if frame.row_time_ns == 0 else None
+    for start in _starts(track, reference, stamp_ns, frame.shape[1], known):
         try:
             H = shifted_homography(frame, reference, start.H, lens, start.shift_px) if start.shift_px else start.H
-            alignment = align_patches(
-                frame,
-                reference,
-                H,
-                lens,
-                parameters,
-                min_inliers,
-                start.reach_px,
-            )
+            if start.known is None:
+                alignment = align_patches(frame, reference, H, lens, parameters, min_inliers, start.reach_px, hints)
+            else:
+                alignment = align_known(
+                    frame, reference, H, lens, start.known, parameters, min_inliers, start.reach_px, hints
+                )
             rms_px = alignment.homography.rms_px / 2**alignment.halvings
             if alignment.agreeing_share < _HELD_SHARE or rms_px > _HELD_RMS_PX:
                 raise NoConsensus(
@@ -97,31 +136,41 @@ def follow(
                     f"need {_HELD_SHARE:.0%} and {_HELD_RMS_PX:g} px"
                 )
             require_plausible(reference.plane, alignment.homography)
-            if alignment.halvings:
-                # Coarse patches agree by chance sooner: the whole reference is compared, too.
-                require_confirmed(frame, reference, alignment.homography.H, lens)
+            seen = alignment.homography.H if alignment.H_seen is None else alignment.H_seen
+            found = require_confirmed(frame, reference, seen, lens)
+            require_determined(reference.plane, alignment, found.is_covered)
         except EstimationError as error:
             reason = str(error)
         else:
-            return alignment
+            return Followed(alignment, found.share)
     raise NoConsensus(reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """Start of an alignment: H with an error up to `reach_px`, after a search for shifts up to `shift_px`; raw px."""
+    """Start of an alignment: H with an error up to `reach_px`, after a search for shifts up to `shift_px`; raw px.
+
+    With patches that are known, see `align_known`, or others.
+    """
 
     H: Matrix3
     reach_px: float
     shift_px: float = 0.0
+    known: SampledPatches | None = None
 
 
-def _starts(track: Track, reference: Reference, stamp_ns: int, width: int) -> Iterator[_Start]:
+def _starts(
+    track: Track, reference: Reference, stamp_ns: int, width: int, known: SampledPatches | None
+) -> Iterator[_Start]:
     """Yield starts: the prediction, the same with larger errors, then the last observation, each also with a shift."""
     expected, last = track.expected(reference, stamp_ns), track.last.H
     reach = _UNKNOWN_REACH_PX
     if expected.error_px is not None:
-        reach = min(max(_SURPRISE * expected.error_px, _LEAST_REACH_PX), reach)
+        surprise = _SURPRISE * expected.error_px
+        if known is not None and are_known(known):
+            far = surprise > _SHIFTED_PX
+            yield _Start(expected.H, min(surprise, _SHIFTED_PX), min(surprise, reach) if far else 0.0, known)
+        reach = min(max(surprise, _LEAST_REACH_PX), reach)
     yield _Start(expected.H, reach)
     if reach < _UNKNOWN_REACH_PX:
         yield _Start(expected.H, _UNKNOWN_REACH_PX)
@@ -132,14 +181,6 @@ def _starts(track: Track, reference: Reference, stamp_ns: int, width: int) -> It
     yield _Start(expected.H, _UNKNOWN_REACH_PX, shift)
     if expected.H is not last:
         yield _Start(last, _UNKNOWN_REACH_PX, shift)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Observation:
-    """Where a reference was seen: H_image_template in ideal px, and when."""
-
-    H: Matrix3
-    stamp_ns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,15 +203,22 @@ class Track:
     observations : latest first, one to three
     errors_px : of each hypothesis, in this order, the recent error of the outline's corners after an interval as long
         as the last one; empty: no prediction was compared with an observation yet
+    sampled : patches that were compared with the raw samples of the last frame; None: none were
 
     Attributes
     ----------
     last : the latest observation
     """
 
-    def __init__(self, observations: Sequence[Observation], errors_px: Sequence[float] = ()) -> None:
+    def __init__(
+        self,
+        observations: Sequence[Observation],
+        errors_px: Sequence[float] = (),
+        sampled: SampledPatches | None = None,
+    ) -> None:
         self.observations = tuple(observations)[:_MOST_OBSERVATIONS]
         self.errors_px = tuple(errors_px)
+        self.sampled = sampled
         self.last = self.observations[0]
         # The last prediction: its time, H_image_template by each hypothesis, and the factors by which their errors grow
         # with the interval.
@@ -178,11 +226,17 @@ class Track:
         self._hypotheses: list[Matrix3] = []
         self._growth: tuple[float, ...] = ()
 
-    def continued(self, reference: Reference, H: Matrix3, stamp_ns: int) -> Track:
-        """Return the track with one more observation."""
+    def without_patches(self) -> Track:
+        """Return the track without what was compared with the samples."""
+        return Track(self.observations, self.errors_px)
+
+    def continued(
+        self, reference: Reference, H: Matrix3, stamp_ns: int, sampled: SampledPatches | None = None
+    ) -> Track:
+        """Return the track with one more observation, and the patches that were compared with its samples."""
         observations = (Observation(H, stamp_ns), *self.observations)
         if len(self.observations) == 1:
-            return Track(observations)
+            return Track(observations, sampled=sampled)
         self._predict(reference, stamp_ns)
         xy = _corners(np.array((H, *self._hypotheses)), reference)
         away = xy[1:] - xy[0]
@@ -191,7 +245,7 @@ class Track:
         errors = [px / max(growth, 1.0) for px, growth in zip(distances, self._growth, strict=False)]
         # A small error by chance is forgotten sooner than a large one.
         before = [*self.errors_px, 0.0, 0.0, 0.0][: len(errors)]
-        return Track(observations, [max(new, _MEMORY * old) for new, old in zip(errors, before, strict=True)])
+        return Track(observations, [max(new, _MEMORY * old) for new, old in zip(errors, before, strict=True)], sampled)
 
     def expected(self, reference: Reference, stamp_ns: int) -> Prediction:
         """Return where the reference is expected at a time."""

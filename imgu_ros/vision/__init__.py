@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithms from arrays to arrays, in nine rooms; they need numpy, scipy and OpenCV, and nothing of ROS.
+"""Algorithms from arrays to arrays, in ten rooms; they need numpy, scipy and OpenCV, and nothing of ROS.
 
 Each room exports its public functions and classes: `from imgu_ros.vision.projective import estimate_homography`. This
 package itself imports nothing; the rooms are `formation`, `processing`, `scale_space`, `keypoints`, `descriptors`,
-`matching`, `projective`, `estimation` and `camera`, in the order in which light becomes a pose.
+`matching`, `projective`, `estimation` and `camera`, in the order in which light becomes a pose; and `markers`.
 
 Sources are papers by author and year, HZ (Hartley & Zisserman 2004), and IU, lecture notes whose sections
 `docs/references.md` leads to texts with the same content.

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from imgu_ros.bags import sqlite_storage
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.salvage import sqlite_pages
 from imgu_ros.bags.sqlite_file import SqliteFile
@@ -548,3 +549,53 @@ def test_memory_that_a_forged_length_asks_for_is_an_error_of_the_file(tmp_path, 
         list(whole.execute("SELECT 1"))
     whole._database = database
     whole.close()
+
+
+def mislead(path, page: int, rows: int) -> list[int]:
+    """Lower a separating key of the messages' root page, so that a search by id goes astray; return these ids.
+
+    The b-tree's own order stays whole (SQLite's Database File Format, section 1.6).
+    """
+    with closing(sqlite3.connect(path)) as connection:
+        (root,) = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    content = bytearray(path.read_bytes())
+    start = (root - 1) * page
+    assert content[start] == 5  # an interior page of a table
+    cells = int.from_bytes(content[start + 3 : start + 5], "big")
+    (cell,) = struct.unpack_from(">H", content, start + 12 + 2 * (cells // 2))
+    at = start + cell + 4  # behind the child's number
+    key = content[at]
+    assert rows < key < 128  # one byte
+    content[at] = key - rows
+    path.write_bytes(content)
+    return list(range(key - rows + 1, key + 1))
+
+
+def many(tmp_path, count: int = 100):
+    rows = [(1, 10 * index, cdr(f"number {index} " + "x" * 40)) for index in range(1, count + 1)]
+    database(tmp_path / "x.db3", MESSAGES, rows=rows, page=512).close()
+    return rows
+
+
+def test_a_row_to_which_the_table_does_not_lead_is_found_on_the_way_from_the_first(tmp_path, monkeypatch):
+    rows = many(tmp_path)
+    lost = mislead(tmp_path / "x.db3", 512, 3)
+    # Its pages are not all known.
+    monkeypatch.setattr(sqlite_pages, "_MOST_ROWS", 1)
+    with closing(sqlite3.connect(tmp_path / "x.db3")) as connection:
+        for row in lost:
+            assert connection.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone() is None
+    found, warnings = read(tmp_path / "x.db3")
+    assert [time_ns for time_ns, _ in found] == [time_ns for _, time_ns, _ in rows]
+    assert [data.endswith("x" * 40) and f"number {time_ns // 10} " in data for time_ns, data in found] == [True] * 100
+    assert not any("skipped" in each for each in warnings)
+
+
+def test_a_damaged_table_is_not_read_again_and_again_for_rows_to_which_it_does_not_lead(tmp_path, monkeypatch):
+    rows = many(tmp_path)
+    lost = mislead(tmp_path / "x.db3", 512, 4)
+    monkeypatch.setattr(sqlite_pages, "_MOST_ROWS", 1)
+    monkeypatch.setattr(sqlite_storage, "_MOST_PASSES", 3)
+    found, warnings = read(tmp_path / "x.db3")
+    assert [time_ns // 10 for time_ns, _ in found] == [row for row in range(1, len(rows) + 1) if row != lost[3]]
+    assert any("skipped" in each for each in warnings)

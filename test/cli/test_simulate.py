@@ -11,6 +11,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.cli.main import main
+from imgu_ros.config.files import read_parameter_file
 from imgu_ros.image_files.images import write_image
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import read_truth
@@ -50,6 +51,34 @@ def test_shutter_lens_and_exposure_change_the_frames_and_not_the_truth(tmp_path:
         truths.add((tmp_path / name / "truth.csv").read_bytes())
     assert len(bags) == len(options)
     assert len(truths) == 1
+
+
+def test_sensitivities_transfer_and_saturation_change_the_frames_and_not_the_truth(tmp_path: Path) -> None:
+    options = {
+        "plain": [],
+        "linear": ["--sensitivities", "1,1,1", "--transfer", "linear"],
+        "uneven": ["--sensitivities", "0.5,1,0.65"],
+        "srgb": ["--transfer", "srgb"],
+        "film": ["--transfer", "film"],
+        "bright": ["--saturated", "0.1"],
+        "all": ["--sensitivities", "0.5,1,0.65", "--transfer", "film", "--saturated", "0.1", "--black-level", "16"],
+    }
+    frames, truths = {}, set()
+    for name, words in options.items():
+        out = tmp_path / name
+        assert main([*SMALL, "--out", str(out), *words]) == 0
+        with AnyReader([out], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            images = [c for c in reader.connections if c.topic == "/camera/image_raw"]
+            data = [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages(images)]  # type: ignore[attr-defined]
+        frames[name] = np.concatenate(data)
+        truths.add((out / "truth.csv").read_bytes())
+    assert len({frame.tobytes() for frame in frames.values()}) == len(options) - 1
+    np.testing.assert_array_equal(frames["plain"], frames["linear"])
+    assert len(truths) == 1
+    for name in ("bright", "all"):
+        assert np.mean(frames[name] == 255) == pytest.approx(0.1, abs=0.02)
+    values = read_parameter_file(tmp_path / "all" / "params.yaml")
+    assert values["raw.black_level"] == 16.0 and len(values["raw.gains"]) == 3  # type: ignore[arg-type]
 
 
 def test_angle_of_view_sets_the_focal_length(tmp_path: Path) -> None:
@@ -103,6 +132,12 @@ def test_several_templates(tmp_path: Path) -> None:
         (["--f-number", "2", "--pixel-pitch-um", "0"], "pixel pitch: 0 um"),
         (["--view-deg", "180"], "view: 180 deg; need 1 to 150"),
         (["--ev", "11"], "ev: [11.0]; need numbers from -10 to 10"),
+        (["--saturated", "1.5"], "saturated: 1.5; need more than 0, up to 0.99"),
+        (["--saturated", "0.1", "--ev", "1"], "saturated: 0.1 with ev [1.0]; need one or the other"),
+        (["--saturated", "0.001", "--full-well", "10", "--read-noise", "90"], "saturated: 0.001; need more than"),
+        (["--sensitivities", "0.5,1"], "sensitivities: 0.5, 1; need 3 numbers"),
+        (["--sensitivities", "0.5,1,2"], "from 0.01 to 1"),
+        (["--sensitivities", "0.5,1,1", "--encoding", "rgb8"], "sensitivities: 0.5, 1, 1 of rgb pixels; need a Bayer"),
     ],
 )
 def test_bad_values_are_one_line(
@@ -117,7 +152,15 @@ def test_bad_values_are_one_line(
 
 
 @pytest.mark.parametrize(
-    "options", [["--size", "big"], ["--storage", "tape"], ["--frames", "x"], ["--ev", "0,x"], ["--nonsense"]]
+    "options",
+    [
+        ["--size", "big"],
+        ["--storage", "tape"],
+        ["--frames", "x"],
+        ["--ev", "0,x"],
+        ["--transfer", "log"],
+        ["--nonsense"],
+    ],
 )
 def test_wrong_usage_is_exit_2(tmp_path: Path, options: list[str]) -> None:
     assert main([*SMALL, "--out", str(tmp_path / "bag"), *options]) == 2

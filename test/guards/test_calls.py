@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(148, 16, 60, {5: 1062, 4: 1074}),
-    "empty": Limit(3879, 48, 1664, {5: 24940, 4: 26251}),
+    "tracked": Limit(266, 23, 108, {5: 2125, 4: 2125}),
+    "empty": Limit(4830, 50, 2260, {5: 32300, 4: 34000}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

@@ -9,10 +9,12 @@ import pytest
 
 import imgu_ros.detect.detector as seeking
 from imgu_ros.config.components import DevelopmentParameters
+from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.detect.features import find_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.search_passes import SearchPass
+from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import develop, develop_frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference.features import extractor_options, thorough_parameters
@@ -154,3 +156,19 @@ def test_default_targets_are_known_apart() -> None:
     index = seeking.build_index([t.features.described.descriptors for t in targets])
     for number, target in enumerate(targets):
         assert index.votes(target.features.described.descriptors).argmax() == number
+
+
+def test_a_dull_target_among_strong_corners() -> None:
+    """Checkers about it have more and stronger corners than a frame has keypoints."""
+    rng = np.random.default_rng(11)
+    dull = cv2.resize(rng.normal(0, 1, (60, 80)).astype(np.float32), (640, 480), interpolation=cv2.INTER_CUBIC)
+    target = np.repeat(np.uint8(np.clip(95 + 9 * dull, 0, 255))[..., None], 3, axis=2)
+    scene = np.kron(rng.integers(0, 2, (80, 107)) * 255, np.ones((6, 6)))[:480, :640].astype(np.uint8)
+    H = np.array([[0.27, -0.1, 260.0], [0.1, 0.27, 130.0], [0.0, 0.0, 1.0]])
+    cv2.warpPerspective(target[..., 0], H, (640, 480), scene, cv2.INTER_AREA, cv2.BORDER_TRANSPARENT)
+    noisy = np.clip(cv2.GaussianBlur(scene, (0, 0), 0.6) + rng.normal(0, 1.5, scene.shape), 0, 255).astype(np.uint8)
+    frame = Frame(RawImage(noisy, PixelLayout(ColorModel.MONO)), 0, "camera", None)
+    result = Localizer(Parameters(), prepare_references([TargetImage("dull", target, 0.3)], Parameters()))
+    found = result.process(frame).first
+    assert found.homography is not None, found.reason
+    assert corner_error(found.homography.H, H, (640, 480), (640, 480)) < 1.0

@@ -14,10 +14,10 @@ from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.frame_image import FrameImage, develop
 from imgu_ros.reference.planar import PlanarReference
 from imgu_ros.reference.reference import Reference
-from imgu_ros.reference.templates import TargetImage, TemplatePyramids, Templates
+from imgu_ros.reference.templates import LightTemplates, TargetImage, TemplatePyramids, Templates
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, SimulatedFrame, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.truth import corner_error
-from imgu_ros.track import patch_alignment
+from imgu_ros.track import patch_squares
 from imgu_ros.track.patch_alignment import AlignmentOptions, LevelAlignment
 from imgu_ros.types import Image
 from imgu_ros.vision.camera.distortion_model import DistortionModel
@@ -86,7 +86,7 @@ def test_squares_of_the_mosaic_show_what_the_picture_shows(
     monkeypatch.setattr(FrameImage, "halved", lambda self, times: developed.append(True) or whole(self, times))
     of_squares = LevelAlignment(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert not developed
-    monkeypatch.setattr(patch_alignment, "_SHEET_SHARE", 0.0)
+    monkeypatch.setattr(patch_squares, "_SHEET_SHARE", 0.0)
     of_picture = LevelAlignment(pictures_of(frame), 0, target, H, lens, EFFORT)
     assert developed
     assert corner_error(of_squares.H, of_picture.H, target.size, (1280, 720), lens) < 0.005
@@ -138,7 +138,16 @@ def test_what_cannot_be_followed_is_refused(frame: SimulatedFrame, target: Refer
         LevelAlignment(
             pictures,
             0,
-            PlanarReference(0, target.image, blank, target.front, target.close, target.thorough, PoseParameters()),
+            PlanarReference(
+                0,
+                target.image,
+                blank,
+                LightTemplates(target.image, ()),
+                target.front,
+                target.close,
+                target.thorough,
+                PoseParameters(),
+            ),
             H,
             None,
             EFFORT,

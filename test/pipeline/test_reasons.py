@@ -67,7 +67,7 @@ def another_picture() -> Result:
 
 def too_small() -> Result:
     pixels = np.full((HEIGHT, WIDTH), 128, np.uint8)
-    pixels[100:124, 100:132] = cv2.resize(grey(POSTER), (32, 24), interpolation=cv2.INTER_AREA)
+    pixels[100:112, 100:116] = cv2.resize(grey(POSTER), (16, 12), interpolation=cv2.INTER_AREA)
     return result_of(pixels)
 
 
@@ -107,7 +107,10 @@ KINDS = {
     a_part_of_it_in_another_picture: (
         "lost",
         "",
-        "something like it is in view, or it is mostly covered (N% of what is in view looks as it should, 32% needed)",
+        (
+            "something like it is in view, or it is mostly covered "
+            "(N% of what is in view looks as it should, 30.5% needed)"
+        ),
     ),
     too_steep: (
         "degenerate",

@@ -51,7 +51,7 @@ def followed(
     frame: SimulatedFrame, target: Reference, track: Track, pixels: Image | None = None, min_inliers: int = 8
 ) -> PatchAlignment:
     image, f = pictures_of(frame, pixels), frame.frame
-    return follow(target, track, image, f.stamp_ns, f.camera, RefinementParameters(), min_inliers)
+    return follow(target, track, image, f.stamp_ns, f.camera, RefinementParameters(), min_inliers).alignment
 
 
 def track_of(*observations: Observation, errors_px: Sequence[float] = ()) -> Track:
@@ -147,7 +147,7 @@ def test_an_exact_prediction_needs_no_second_try(
     refine = tracking.align_patches
 
     def recorded(*arguments: object) -> PatchAlignment:
-        reaches.append(float(arguments[-1]))  # type: ignore[arg-type]
+        reaches.append(float(arguments[6]))  # type: ignore[arg-type]
         return refine(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(tracking, "align_patches", recorded)

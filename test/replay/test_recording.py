@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +17,15 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EncodingError, FileError, ParameterError
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.reference.templates import TargetImage
-from imgu_ros.replay.recording import BagFormat, record_simulation, simulated_encoding
+from imgu_ros.replay.recording import BagFormat, raw_parameters, record_simulation, simulated_encoding
+from imgu_ros.simulate.capture import Capture
 from imgu_ros.simulate.sequence import TYPICAL_LENSES, Simulation, default_camera, simulate_sequence
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import read_truth
-from imgu_ros.vision.formation.sensor import Sensor
+from imgu_ros.vision.formation.cfa import BayerPattern
+from imgu_ros.vision.formation.levels import with_levels
+from imgu_ros.vision.formation.sensor import Sensor, expose
+from imgu_ros.vision.formation.transfer import TransferFunction
 
 SMALL = Simulation(width=64, height=48, frames=2)
 TARGETS = (TargetImage("poster", procedural_texture(80, 60), 0.25),)
@@ -88,6 +93,50 @@ def test_bag_holds_the_simulated_pixels(tmp_path: Path, bag_format: BagFormat, b
     (target,) = load_target_images(parameters_from(values).targets)
     assert (target.name, target.width_m) == ("poster", 0.25)
     np.testing.assert_array_equal(target.pixels, TARGETS[0].pixels)
+
+
+def test_parameters_and_truth_of_a_capture_are_written(tmp_path: Path) -> None:
+    capture = Capture(saturated=0.05, sensitivities=(0.5, 1.0, 0.65))
+    simulation = replace(SMALL, sensor=Sensor(10, black_level_dn=64), capture=capture)
+    out = tmp_path / "b"
+    record_simulation(out, simulation, BagFormat("bayer_grbg16"), TARGETS)
+    raw = parameters_from(read_parameter_file(out / "params.yaml")).raw
+    assert (raw.transfer, raw.black_level, raw.significant_bits) == ("linear", 64.0, 10)
+    assert raw.gains == pytest.approx((2.0, 1.0, 1 / 0.65), abs=1e-6)
+    with (out / "exposure.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    layout = simulated_encoding("bayer_grbg16").layout
+    for row, simulated in zip(rows, simulate_sequence(replace(simulation, layout=layout), TARGETS), strict=True):
+        assert int(row["stamp_ns"]) == simulated.frame.stamp_ns
+        assert float(row["exposure"]) == simulated.exposure
+        assert float(row["saturated"]) == np.mean(simulated.frame.image.pixels == 1023)
+        assert float(row["saturated"]) == pytest.approx(0.05, abs=0.01)
+        assert [float(row[f"sensitivity_{c}"]) for c in "rgb"] == [0.5, 1.0, 0.65]
+        assert (row["transfer"], float(row["black_level"]), float(row["white_level"])) == ("linear", 64, 1023)
+
+
+def test_defaults_write_the_parameters_that_they_wrote_before(tmp_path: Path) -> None:
+    record_simulation(tmp_path / "b", SMALL, None, TARGETS)
+    folder = (tmp_path / "b").resolve()
+    assert (folder / "params.yaml").read_text() == (
+        f"/**:\n  ros__parameters:\n    targets:\n      images:\n      - {folder}/poster.png\n      widths_m:\n"
+        "      - 0.25\n      names:\n      - poster\n    raw:\n      transfer: linear\n"
+    )
+    assert (folder / "truth.csv").read_text().startswith("stamp_ns,target,h11,h12,h13,h21,h22,h23,h31,h32,h33,tx,")
+    assert len((folder / "truth.csv").read_text().splitlines()[1].split(",")) == 18
+
+
+@pytest.mark.parametrize(
+    ("transfer", "parameter", "gain"), [("linear", "linear", 2.0), ("srgb", "srgb", 1.36), ("film", "srgb", 1.216)]
+)
+def test_gains_balance_the_values_of_white(transfer: str, parameter: str, gain: float) -> None:
+    capture = Capture(sensitivities=(0.5, 1.0, 1.0), transfer=TransferFunction(transfer))
+    raw = raw_parameters(Sensor(), capture)
+    assert raw["transfer"] == parameter
+    assert raw["gains"] == pytest.approx([gain, 1.0, 1.0], abs=1e-3)
+    white = np.array([[0.5, 1.0], [1.0, 1.0]], np.float32)
+    values = expose(white, Sensor(full_well_e=1e12), 0, transfer)
+    assert (with_levels(values, BayerPattern.RGGB, 0, 0, raw["gains"]) >= 254).all()  # type: ignore[arg-type]
 
 
 def test_lens_and_black_level_are_written(tmp_path: Path) -> None:

@@ -252,4 +252,4 @@ def test_an_interrupted_simulation_is_no_bag(tmp_path: Path, after_frame, capsys
     assert main([*arguments, "--overwrite", "--seed", "1"]) == 143
     after_frame(lambda: None)
     assert main([*arguments, "--overwrite"]) == 0
-    assert visible(out) == {"poster.png", "params.yaml", "truth.csv", "bag.mcap", "metadata.yaml"}
+    assert visible(out) == {"poster.png", "params.yaml", "truth.csv", "exposure.csv", "bag.mcap", "metadata.yaml"}

@@ -135,7 +135,7 @@ import sys, time
 from imgu_ros.localizer import Localizer
 process = Localizer.process
 def slow(localizer, frame, *rest, **more):
-    time.sleep(3.5)
+    time.sleep(5)
     return process(localizer, frame, *rest, **more)
 Localizer.process = slow
 from imgu_ros.cli.main import main
@@ -171,7 +171,7 @@ def test_a_frame_that_takes_long_is_told_meanwhile(environment, world, peer, mak
             assert len(held) >= 2, topic
             assert all(s.level == b"\1" for s in held)
             times_s = [float(s.message.partition("worker for ")[2].split()[0]) for s in held]
-            assert times_s == sorted(times_s) and 1.0 <= times_s[0] < times_s[-1] < 6.0
+            assert times_s == sorted(times_s) and 1.0 <= times_s[0] < times_s[-1] < 20
         peer.heard["/diagnostics"].clear()
         peer.wait(lambda: len(peer.heard["/diagnostics"]) > 1, "diagnostics")
         assert not told(peer, "/diagnostics", "held the worker")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imgu_ros.errors import ParameterError, ShapeError
+from imgu_ros.simulate.capture import Capture
 from imgu_ros.simulate.conditions import CONDITIONS, PLAIN, Condition, SceneContent, condition_named
 from imgu_ros.simulate.negatives import absent_frames
 from imgu_ros.simulate.pictures import look_alike, repeated_picture
@@ -18,6 +19,8 @@ from imgu_ros.simulate.placing import Placing
 from imgu_ros.simulate.sequence import Simulation, simulate_sequence
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.trials import LAP_FRAMES, Trial, known_targets, trial_batches, trial_frames
+from imgu_ros.vision.formation.cfa import BayerPattern, site_mask
+from imgu_ros.vision.formation.transfer import decode_light
 
 SMALL = Trial(PLAIN, 320, 180, frames=2, seed=1)
 
@@ -97,6 +100,49 @@ def test_signal_to_noise_on_the_target() -> None:
     bright = mask & (np.abs(clean.astype(float) - clean[mask].mean()) < 8)  # where the light is the mean
     assert bright.sum() > 300
     assert clean[bright].mean() / residual[bright].std() == pytest.approx(10, rel=0.15)
+
+
+def test_sensitivities_scale_the_channels() -> None:
+    (plain,), (raw,) = (
+        pixels(replace(SMALL, condition=condition, frames=1))
+        for condition in (PLAIN, condition_named("no-white-balance"))
+    )
+    for color, sensitivity in zip("rgb", (0.5, 1.0, 0.65), strict=True):
+        sites = site_mask(plain.shape, BayerPattern.RGGB, color)
+        assert raw[sites].mean() / plain[sites].mean() == pytest.approx(sensitivity, rel=0.01)
+
+
+@pytest.mark.parametrize("transfer", ["srgb", "film"])
+def test_transfer_functions_are_undone_by_their_inverses(transfer: str) -> None:
+    (plain,), (encoded,) = (
+        pixels(replace(SMALL, condition=condition, frames=1))
+        for condition in (PLAIN, condition_named(f"transfer-{transfer}"))
+    )
+    # The noise is the same: only quantisation differs, by half a step of each and the slope of the inverse, up to 5.
+    difference = 255 * decode_light(encoded / 255, transfer) - plain
+    assert np.abs(difference).max() < 3.1 and abs(difference.mean()) < 0.1
+    assert encoded.mean() > 1.3 * plain.mean()
+
+
+@pytest.mark.parametrize("percent", [2, 10, 30])
+def test_saturated_share_of_every_frame(percent: int) -> None:
+    trial = replace(SMALL, condition=condition_named(f"saturated-{percent}"))
+    for simulated in trial_frames(trial):
+        assert np.mean(simulated.frame.image.pixels == 255) == pytest.approx(percent / 100, abs=0.003)
+        assert simulated.exposure > 1
+
+
+def test_conditions_take_every_capture() -> None:
+    """What `imgu simulate` can set is part of a condition, beside everything else."""
+    capture = Capture(exposure_s=0.01, defocus_px=2.0, ev=(-1.0,), sensitivities=(0.5, 1.0, 0.65))
+    condition = replace(condition_named("rolling-shutter"), capture=capture)
+    (simulated,) = trial_frames(replace(SMALL, condition=condition, frames=1))
+    (plain,) = trial_frames(replace(SMALL, frames=1))
+    assert simulated.exposure == pytest.approx(0.45) and plain.exposure == pytest.approx(0.9)
+    means = [s.frame.image.pixels[::2, 1::2].mean() for s in (simulated, plain)]
+    assert means[0] / means[1] == pytest.approx(0.5, rel=0.02)
+    with pytest.raises(ParameterError, match="saturated"):
+        next(trial_frames(replace(SMALL, condition=replace(PLAIN, capture=Capture(saturated=2.0)))))
 
 
 def test_rolling_shutter_bends_and_leaves_the_middle() -> None:

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import Parameters
+from imgu_ros.errors import ParameterError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
 from imgu_ros.messages.camera_reading import CameraReading
@@ -128,6 +129,12 @@ class TargetStage(PipelineStage):
 
     def use(self, parameters: Parameters, images: Sequence[TargetImage]) -> None:
         """See `PipelineStage.use`; parts that do not depend on changed parameters are reused."""
+        for image in images:
+            if image.kind:
+                raise ParameterError(
+                    f"targets.images: {image.name} is a {image.kind}; stage nodes know pictures alone, need the "
+                    "perception node"
+                )
         reading = self._reading_for(parameters)
         parts = BuildCache(self._parts)
         self.targets = (prepare_references if self.needs_features else make_references)(images, parameters, parts)

@@ -11,6 +11,7 @@ modules model each step, for the simulator, and undo what can be undone, for the
 | `pixel_array` | size, aspect ratio and pitch of the sensor; focal length in pixels | from a data sheet to K |
 | `sensor` | shot and read noise, amplification, the converter to 8, 10, 12, 14 or 16 bits | making honest raw data |
 | `cfa`, `demosaic` | the Bayer pattern in four phases, and its inverse | a mosaic is to become a colour picture |
+| `transfer` | linear, sRGB and film curves and their inverses | light is to become values, or values light |
 | `levels` | black and white level, gains; the step to 8 bits, known range or percentiles | raw or thermal data |
 | `bands` | one grey image of N bands: mean, weighted, principal component, spectral angle | more bands than three |
 | `layout` | what the numbers of a raw image mean | reading and handing on raw images |
@@ -26,7 +27,8 @@ speed; `edge_aware` 30.4 and 32.4; `malvar` 36.0 and 34.1, colour at video rate;
 **In the pipeline**: `demosaic.method` (also `imgu demosaic --method`); `raw.black_level`, `raw.white_level`,
 `raw.significant_bits` (0: automatic gain by percentiles, as for infrared pictures), `raw.gains`; `raw.bands`,
 `raw.band_mode`, `raw.band_weights`, `raw.reference_spectrum`. **Simulated** by `imgu simulate --bits --full-well
---read-noise --black-level --exposure-ms --row-time-us --defocus-px --f-number --focus-m --ev`.
+--read-noise --black-level --sensitivities --transfer --exposure-ms --row-time-us --defocus-px --f-number --focus-m --ev
+--saturated`.
 
 Sources: IU 1.1 to 1.3; Szeliski 2022, 2.2 and 2.3; EMVA Standard 1288; Kruse et al. 1993 (spectral angle).
 """
@@ -60,7 +62,14 @@ from imgu_ros.vision.formation.optics import (
 from imgu_ros.vision.formation.pixel_array import PixelArray
 from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 from imgu_ros.vision.formation.shutter import Exposure, motion_kernel, rolling_shutter_points, row_times
-from imgu_ros.vision.formation.transfer import light_of_srgb, linear_from_srgb, srgb_from_linear
+from imgu_ros.vision.formation.transfer import (
+    TransferFunction,
+    decode_light,
+    encode_light,
+    light_of_srgb,
+    linear_from_srgb,
+    srgb_from_linear,
+)
 
 __all__ = [
     "BandMode",
@@ -78,8 +87,10 @@ __all__ = [
     "Sensor",
     "StripMethod",
     "ThinLens",
+    "TransferFunction",
     "as_mosaic",
     "circle_of_confusion",
+    "decode_light",
     "demosaic",
     "demosaic_bilinear",
     "demosaic_edge_aware",
@@ -90,6 +101,7 @@ __all__ = [
     "demosaic_residual",
     "depth_of_field",
     "disc_kernel",
+    "encode_light",
     "expose",
     "grey_from_bands",
     "grey_from_mosaic",

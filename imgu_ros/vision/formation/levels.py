@@ -117,6 +117,10 @@ def stretched_to_8_bit(grey: Image, black: float, white: float | None) -> Image:
         # Black may be large beside the range (kelvin): their difference is taken in double precision.
         grey = grey.astype(np.float64)
     factor = 255 / (white - black)
+    if grey.dtype.kind == "u" and black.is_integer() and 0 <= black <= np.iinfo(grey.dtype).max:
+        # Two passes that are fast: clamped at black, nothing is negative.
+        clamped = np.maximum(grey, grey.dtype.type(black))
+        return np.asarray(cv2.convertScaleAbs(clamped, alpha=factor, beta=-black * factor), np.uint8)
     return _scaled(grey, factor, -black * factor, np.dtype(np.uint8))
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from imgu_ros.arguments import as_generator, as_integer, as_number, require_type
 from imgu_ros.errors import ShapeError
 from imgu_ros.types import Floats, Image, as_floats, as_image
+from imgu_ros.vision.formation.transfer import TransferFunction, encode_light
 
 #: Bit depths of analogue-to-digital converters that can be simulated.
 BIT_DEPTHS = (8, 10, 12, 14, 16)
@@ -118,7 +119,12 @@ def quantise(signal: Image, bits: int) -> Image:
     return np.asarray(steps, np.uint8 if bits == 8 else np.uint16)
 
 
-def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Image:
+def expose(
+    light: Image,
+    sensor: Sensor,
+    rng: np.random.Generator | int,
+    transfer: TransferFunction | str = TransferFunction.LINEAR,
+) -> Image:
     """Turn light into digital numbers.
 
     Parameters
@@ -126,6 +132,7 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Imag
     light : (H, W) or (H, W, C) float32, 1 saturates the sensor; negative counts as 0
     sensor : its noise and converter
     rng : source of the noise, or its seed
+    transfer : function from the noisy signal above black to what the converter quantises: linear, srgb or film
 
     Returns
     -------
@@ -134,7 +141,7 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Imag
     Raises
     ------
     ShapeError
-        If `light` is not such an image.
+        If `light` is not such an image, or there is no such transfer function.
 
     Examples
     --------
@@ -145,7 +152,7 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Imag
     """
     require_type(sensor, Sensor, "sensor")
     light = as_image(light, "light", channels=(1, 3, 4), dtypes=(np.float32,))
-    rng = as_generator(rng)
+    rng, transfer = as_generator(rng), TransferFunction(transfer)
     electrons = np.minimum(light, np.float32(_MOST_LIGHT))
     electrons *= np.float32(sensor.full_well_e)
     np.maximum(electrons, 0, out=electrons)
@@ -156,6 +163,10 @@ def expose(light: Image, sensor: Sensor, rng: np.random.Generator | int) -> Imag
     noise *= np.sqrt(electrons + np.float32(sensor.read_noise_e**2))
     electrons += noise
     electrons.ravel()[few] = rng.poisson(few_means) + sensor.read_noise_e * rng.standard_normal(len(few_means))
+    if transfer is not TransferFunction.LINEAR:  # the numbers of a linear camera stay, to the last bit
+        electrons /= np.float32(sensor.full_well_e)
+        electrons = encode_light(electrons, transfer)
+        electrons *= np.float32(sensor.full_well_e)
     electrons *= np.float32(sensor.gain_dn_per_e)
     # Rounding half up: an offset and a truncation.
     electrons += np.float32(sensor.black_level_dn + 0.5)

@@ -80,8 +80,8 @@ def fit_homography(
     --------
     >>> src = [[0, 0], [4, 0], [4, 3], [0, 3], [2, 1]]
     >>> estimate = fit_homography(src, [[10, 5], [14, 5], [14, 8], [10, 8], [12, 6]], error="reprojection")
-    >>> (estimate.H / estimate.H[2, 2]).round(6).tolist()[0]
-    [1.0, 0.0, 10.0]
+    >>> (estimate.H / estimate.H[2, 2])[0, [0, 2]].round(6).tolist()
+    [1.0, 10.0]
     """
     noise_px = None if noise_px is None else as_number(noise_px, "noise_px")
     src, dst = as_points(src, "src"), as_points(dst, "dst")

@@ -17,7 +17,13 @@ from imgu_ros.vision.formation.optics import (
 from imgu_ros.vision.formation.pixel_array import PixelArray
 from imgu_ros.vision.formation.sensor import Sensor, expose, quantise
 from imgu_ros.vision.formation.shutter import Exposure, motion_kernel, rolling_shutter_points, row_times
-from imgu_ros.vision.formation.transfer import light_of_srgb, linear_from_srgb, srgb_from_linear
+from imgu_ros.vision.formation.transfer import (
+    decode_light,
+    encode_light,
+    light_of_srgb,
+    linear_from_srgb,
+    srgb_from_linear,
+)
 
 LENS = ThinLens(0.05, 2.0, 2.0)
 
@@ -29,6 +35,10 @@ def sensor_of(full_well_e: float, read_noise_e: float, black_level_dn: float) ->
 def exposed(light: np.ndarray) -> np.ndarray:
     # A generator made here: the same noise for the same light.
     return expose(light, Sensor(12), np.random.default_rng(0))
+
+
+def exposed_film(light: np.ndarray) -> np.ndarray:
+    return expose(light, Sensor(12, black_level_dn=64), np.random.default_rng(0), "film")
 
 
 CALLS = {
@@ -59,6 +69,7 @@ CALLS = {
         "sensor": Sensor(12),
         "rng": np.random.default_rng(0),
     },
+    exposed_film: lambda rng: {"light": rng.random((6, 8), dtype=np.float32)},
     exposed: lambda rng: {"light": rng.random((6, 8), dtype=np.float32)},
     quantise: lambda rng: {"signal": rng.random((6, 8), dtype=np.float32), "bits": 12},
     # levels
@@ -69,6 +80,8 @@ CALLS = {
         "white": 15520.0,
         "gains": (1.9, 1.0, 1.3),
     },
+    encode_light: lambda rng: {"light": rng.random((6, 8)), "transfer": "film"},
+    decode_light: lambda rng: {"values": rng.random((6, 8)), "transfer": "srgb"},
     light_of_srgb: lambda rng: {},
     linear_from_srgb: lambda rng: {"image": rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)},
     srgb_from_linear: lambda rng: {"image": rng.integers(0, 256, (6, 8)).astype(np.uint8)},

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.vision.formation.sensor import BIT_DEPTHS, Sensor, expose, quantise
+from imgu_ros.vision.formation.transfer import TransferFunction, decode_light, encode_light
 
 
 def flat(level: float, side: int = 400) -> np.ndarray:
@@ -142,6 +143,54 @@ def test_quantisation_and_saturation(bits: int) -> None:
     assert pixels.max() == top
     assert np.abs(pixels - np.clip(ramp.astype(np.float64), 0, 1) * top).max() < 0.5 + 1e-5 * top
     assert (np.diff(pixels.astype(int)) >= -1).all()
+
+
+def test_linear_is_what_it_was_to_the_last_bit() -> None:
+    # By hand, in single precision, where electrons are many: signal, one normal draw, gain, rounding half up.
+    sensor = Sensor(12, full_well_e=8_000, read_noise_e=6, black_level_dn=64)
+    light = np.random.default_rng(1).uniform(0.05, 1.2, (60, 80)).astype(np.float32)
+    electrons = light * np.float32(8_000)
+    noise = np.random.default_rng(2).standard_normal(light.shape, dtype=np.float32)
+    electrons += noise * np.sqrt(electrons + np.float32(36))
+    expected = np.clip(electrons * np.float32((4095 - 64) / 8_000) + np.float32(64.5), 0, 4095).astype(np.uint16)
+    for transfer in ((), ("linear",), (TransferFunction.LINEAR,)):
+        np.testing.assert_array_equal(expose(light, sensor, np.random.default_rng(2), *transfer), expected)
+
+
+@pytest.mark.parametrize("transfer", list(TransferFunction))
+@settings(max_examples=25, deadline=None)
+@given(bits=st.sampled_from(BIT_DEPTHS), black=st.integers(0, 60), seed=st.integers(0, 2**32))
+def test_inverse_of_the_transfer_function_recovers_the_light(
+    transfer: TransferFunction, bits: int, black: int, seed: int
+) -> None:
+    # Without noise to speak of: numbers are within half a step of the curve, and light within what that step is there.
+    sensor = Sensor(bits, full_well_e=1e14, read_noise_e=0, black_level_dn=black)
+    light = np.random.default_rng(seed).uniform(0, 1.1, (20, 30)).astype(np.float32)
+    pixels = expose(light, sensor, seed, transfer)
+    steps = 2**bits - 1 - black
+    values = (pixels.astype(np.float64) - black) / steps
+    clipped = np.minimum(light, 1).astype(np.float64)
+    reach = 0.5 / steps + 2e-6  # of single precision
+    assert np.abs(values - encode_light(clipped, transfer)).max() <= reach
+    low, high = (decode_light(values + side, transfer) for side in (-reach, reach))
+    assert ((low <= clipped + 1e-9) & (clipped <= high + 1e-9)).all()
+
+
+@pytest.mark.parametrize("transfer", ["srgb", "film"])
+def test_noise_passes_the_transfer_function(transfer: str) -> None:
+    # Before the converter: its standard deviation is multiplied by the slope of the curve.
+    sensor = Sensor(16, full_well_e=20_000, read_noise_e=5, black_level_dn=1000)
+    for level in (0.05, 0.3, 0.8):
+        pixels = expose(flat(level), sensor, np.random.default_rng(3), transfer).astype(np.float64)
+        low, high = encode_light([level - 1e-5, level + 1e-5], transfer)
+        sigma = np.sqrt(level * 20_000 + 25) / 20_000 * (high - low) / 2e-5 * (65535 - 1000)
+        assert pixels.std() == pytest.approx(sigma, rel=0.02)
+        assert pixels.mean() == pytest.approx(1000 + 64535 * float(encode_light(level, transfer)), rel=2e-3)
+
+
+def test_unknown_transfer_functions_are_refused() -> None:
+    with pytest.raises(ShapeError, match="need one of linear, srgb, film"):
+        expose(flat(0.5, 4), Sensor(), 0, "log")
 
 
 @settings(max_examples=20, deadline=None)

@@ -72,7 +72,9 @@ def test_the_inverse_undoes(seed: int) -> None:
     H = _any(rng)
     points = rng.uniform(-1, 1, (6, 2))
     assert_allclose(transform(inverse(H), transform(H, points)), points, atol=1e-9)
-    assert_allclose(compose(H, inverse(H)), np.eye(3) / np.sqrt(3), atol=1e-9)
+    # Whether its last row is exactly that of an affine matrix, which fixes the scale, is a matter of rounding.
+    both = compose(H, inverse(H))
+    assert_allclose(both / both[2, 2], np.eye(3), atol=1e-9)
     assert_allclose(inverse(inverse(H)), H, atol=1e-10)
 
 
@@ -84,7 +86,7 @@ def test_what_is_affine_stays_exactly_affine() -> None:
 
 
 def test_others_have_unit_norm_and_a_positive_determinant() -> None:
-    H = projective(-np.eye(2), (1, 2), (0.1, 0))
+    H = projective(-2 * np.eye(2), (1, 2), (0.1, 0))
     for M in (H, inverse(H), compose(H, H)):
         assert np.linalg.norm(M) == pytest.approx(1)
         assert np.linalg.det(M) > 0

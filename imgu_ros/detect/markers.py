@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Detection of fiducial markers: OpenCV's aruco module finds them, the alignment of raw samples locates them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+
+from imgu_ros.build_cache import BuildCache
+from imgu_ros.config.components import ReferenceParameters
+from imgu_ros.detect.frame_context import FrameContext
+from imgu_ros.errors import EstimationError, NotConfirmed
+from imgu_ros.image.transfer_fit import SRGB_CURVE, TransferCurve, TransferFit, TransferKind
+from imgu_ros.pose.planar_pose import distorting_camera, require_determined, require_plausible, seen_outline
+from imgu_ros.reasons import NOT_IN_VIEW, seen_twice, why_not_found
+from imgu_ros.reference.code_reading import read_code
+from imgu_ros.reference.marker import MarkerReference
+from imgu_ros.reference.verification import require_confirmed
+from imgu_ros.result import ReferenceResult, Stage, Status
+from imgu_ros.track.patch_alignment import align_patches
+from imgu_ros.track.sample_refinement import PatchAlignment
+from imgu_ros.track.tracker import Followed, followed_result
+from imgu_ros.types import Image, Matrix3, Points
+from imgu_ros.vision.markers.finding import FoundMarker, MarkerFinder, distinct_markers, zooms_for
+
+#: Error of the corners that are found, raw px.
+_REACH_PX = 2.0
+#: Corners of the alignment are not farther from those that were found, raw px and as a share of the longer side: where
+#: some patches fail, the others may put a corner elsewhere.
+_FARTHEST_PX, _FARTHEST_SHARE = 2.0, 0.02
+#: With a curve the patches of a marker must disagree by less than this share of what they do without.
+_BETTER = 0.8
+#: Grey values between the darkest and the brightest hundredth of an image, below which it is stretched.
+_DULL = 160
+#: Of the pixels of an image one of so many is looked at for that.
+_STRIDE = 4
+
+
+class MarkerDetector:
+    """Detects fiducial markers by their codes.
+
+    Parameters
+    ----------
+    references : made with the same parameters
+    parameters : those of references
+    cache : not used: nothing takes time
+    """
+
+    def __init__(
+        self, references: Sequence[MarkerReference], parameters: ReferenceParameters, cache: BuildCache | None = None
+    ) -> None:
+        self._parameters = parameters
+        families = dict.fromkeys(reference.image.family for reference in references)
+        self._finders = {family: MarkerFinder(family) for family in families}
+
+    def prepare(self) -> None:
+        """See `Detector.prepare`: nothing takes time."""
+
+    def detect(
+        self, context: FrameContext, missing: Sequence[MarkerReference], covered: Sequence[Points], thorough: bool
+    ) -> Iterator[ReferenceResult]:
+        """See `Detector.detect`."""
+        left = {reference.name: reference for reference in missing}
+        results: dict[str, ReferenceResult] = {}
+        with context.clock.measures(Stage.MATCH):
+            grey = _contrasting(context.image.grey)
+        for zooms in _passes(context.image.shape, everything=thorough or not covered):
+            with context.clock.measures(Stage.MATCH):
+                candidates = self._candidates(grey, zooms, list(left.values()))
+            for name, found in candidates.items():
+                results[name] = self._located(context, left[name], found)
+                if results[name].status.found:
+                    del left[name]
+            if not left:
+                break
+        for reference in missing:
+            yield results.get(reference.name) or _lost(reference, NOT_IN_VIEW)
+
+    def _candidates(
+        self, grey: Image, zooms: Sequence[int], wanted: Sequence[MarkerReference]
+    ) -> dict[str, list[FoundMarker]]:
+        """Return the markers with the codes of the wanted ones, by name."""
+        by_code = {(each.image.family, each.image.number): each.name for each in wanted}
+        candidates: dict[str, list[FoundMarker]] = {}
+        for family, finder in self._finders.items():
+            numbers = {number for own, number in by_code if own == family}
+            if numbers:
+                every = [each for zoom in zooms for each in finder.find(grey, zoom, numbers)]
+                for found in distinct_markers(every):
+                    candidates.setdefault(by_code[family, found.number], []).append(found)
+        return candidates
+
+    def _located(
+        self, context: FrameContext, reference: MarkerReference, candidates: Sequence[FoundMarker]
+    ) -> ReferenceResult:
+        """Return where a marker is, of the places that have its code."""
+        places: list[Followed] = []
+        first: EstimationError | None = None
+        for candidate in candidates:
+            try:
+                places.append(self._aligned(context, reference, candidate))
+            except EstimationError as error:
+                first = first or error.with_traceback(None)
+        if len(places) > 1:
+            return _lost(reference, seen_twice(len(places)))
+        try:
+            if not places:
+                assert first is not None
+                raise first
+            with context.clock.measures(Stage.POSE):
+                found = followed_result(reference, places[0], Status.DETECTED)
+                return reference.pose(found, places[0].alignment, context.frame)
+        except EstimationError as error:
+            minimum = self._parameters.homography.min_inliers
+            return _lost(reference, why_not_found(error, minimum, minimum, minimum))
+
+    def _aligned(self, context: FrameContext, reference: MarkerReference, candidate: FoundMarker) -> Followed:
+        """Return where a marker is near a place that has its code.
+
+        Raises
+        ------
+        EstimationError
+            If the frame does not show it there.
+        """
+        image, lens = context.image, distorting_camera(context.frame.camera)
+        corners = candidate.corners
+        if lens is not None:
+            corners, valid = lens.ideal_pixels(corners)
+            if not valid.all():
+                raise NotConfirmed("a corner is where the lens model does not hold")
+        square, at = (each.astype(np.float32) for each in (reference.outline_template, corners))
+        H = np.asarray(cv2.getPerspectiveTransform(square, at), np.float64)
+        with context.clock.measures(Stage.REFINE):
+            aligned = self._refined(context, reference, H)
+        seen = aligned.homography.H if aligned.H_seen is None else aligned.H_seen
+        farthest = float(np.abs(seen_outline(reference.plane, seen) - corners).max())
+        if farthest > max(_FARTHEST_PX, _FARTHEST_SHARE * float(np.ptp(corners, axis=0).max())):
+            raise NotConfirmed(f"its patches put a corner {farthest:.1f} px from where it is seen")
+        found = require_confirmed(image, reference, seen, lens)
+        require_determined(reference.plane, aligned, found.is_covered)
+        assert reference.marker_code is not None
+        read = read_code(image, reference.marker_code, seen, lens)
+        if read is None or read.wrong > (reference.marker_code.distance - 1) // 8:
+            wrong = 0 if read is None else read.wrong
+            raise NotConfirmed(f"{wrong} cells of its code differ", found.share)
+        return Followed(aligned, found.share)
+
+    def _refined(self, context: FrameContext, reference: MarkerReference, H: Matrix3) -> PatchAlignment:
+        image, p, lens = context.image, self._parameters, distorting_camera(context.frame.camera)
+        aligned = align_patches(image, reference, H, lens, p.refinement, p.homography.min_inliers, _REACH_PX)
+        require_plausible(reference.plane, aligned.homography)
+        if aligned.samples is None or not image.may_have_curve:
+            return aligned
+        if image.curve is None:
+            aligned = self._through_curve(context, reference, aligned)
+        if aligned.samples is not None:
+            context.curve_samples.append(aligned.samples)
+        return aligned
+
+    def _through_curve(
+        self, context: FrameContext, reference: MarkerReference, aligned: PatchAlignment
+    ) -> PatchAlignment:
+        """Return the alignment with the camera's curve, as this marker shows it; the frame's image has it from then on.
+
+        Through a curve the edges of black and white seem to be elsewhere, at every marker's own places.
+        """
+        image, p, lens = context.image, self._parameters, distorting_camera(context.frame.camera)
+        best, chosen, needed = aligned, None, _BETTER
+        curve = _curve_of(aligned)
+        for each in () if curve is None else (curve, SRGB_CURVE):
+            image.curve = each
+            with contextlib.suppress(EstimationError):
+                H = aligned.homography.H
+                found = align_patches(image, reference, H, lens, p.refinement, p.homography.min_inliers, _REACH_PX)
+                if found.samples is not None and found.homography.rms_px < needed * best.homography.rms_px:
+                    best, chosen, needed = found, each, 1.0
+        image.curve = chosen
+        return best
+
+
+def _curve_of(aligned: PatchAlignment) -> TransferCurve | None:
+    """Return the curve that the samples of a marker show; None where they go with the light."""
+    if aligned.samples is None:
+        return None
+    fit = TransferFit()
+    fit.add(aligned.samples())
+    return None if fit.curve is None or fit.curve.kind is TransferKind.LINEAR else fit.curve
+
+
+def _passes(shape: tuple[int, int], everything: bool) -> Iterator[tuple[int, ...]]:
+    """Yield by how much an image is enlarged, pass by pass."""
+    zooms = zooms_for(shape)
+    # Two at first: where several markers have an id, one search alone may find one of them.
+    yield zooms[: 2 if everything else 1]
+    if everything:
+        yield from ((zoom,) for zoom in zooms[2:])
+
+
+def _lost(reference: MarkerReference, reason: str) -> ReferenceResult:
+    return ReferenceResult(reference.name, reference.number, Status.LOST, reason=reason)
+
+
+def _contrasting(grey: Image) -> Image:
+    """Return an image with the whole range of grey values: the finder's threshold is in grey values."""
+    low, high = np.percentile(grey[::_STRIDE, ::_STRIDE], (1, 99))
+    if high - low >= _DULL:
+        return grey
+    factor = _DULL / max(high - low, 1.0)
+    table = np.clip((np.arange(256) - low) * factor, 0, 255)
+    return cv2.LUT(grey, np.rint(table).astype(np.uint8))

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The code of a fiducial marker, and how its cells look in a frame that blurs them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from imgu_ros.types import Floats, Mask
+from imgu_ros.vision.markers.dictionaries import marker_cells, marker_distance, nearest_marker
+
+#: Cells of white about the black square that are known.
+MARGIN = 1
+#: Standard deviations of the blurs that are tried along columns and along rows, cells.
+BLURS = (0.25, 0.4, 0.6, 0.85)
+#: Samples of a cell lie within this share of it.
+SAMPLED = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerCode:
+    """The code of one marker.
+
+    Attributes
+    ----------
+    family, number : which marker
+    cell_px : side of a cell, template px; the template has `MARGIN` cells of white about the black square
+    """
+
+    family: str
+    number: int
+    cell_px: int
+
+    @cached_property
+    def cells(self) -> Mask:
+        """Which cells are white, (N, N), with the black border."""
+        return marker_cells(self.family, self.number)
+
+    @property
+    def side(self) -> int:
+        """Number of cells along a side, with the black border."""
+        return len(self.cells)
+
+    @property
+    def distance(self) -> int:
+        """Number of cells in which the nearest other marker of the family differs."""
+        return marker_distance(self.family, self.number)
+
+    @cached_property
+    def expected(self) -> tuple[Floats, Floats]:
+        """How the cells look, -1 (black) to 1, at every pair of blurs, (B^2, N^2), and the pairs, (B^2, 2)."""
+        white = np.pad(self.cells, MARGIN, constant_values=True).astype(np.float64)
+        spread = [blurred_cells(self.side, sigma) for sigma in BLURS]
+        looks = [rows @ (2 * white - 1) @ columns.T for rows in spread for columns in spread]
+        pairs = np.array([(x, y) for y in BLURS for x in BLURS])
+        return np.stack(looks).reshape(len(looks), -1), pairs
+
+    def nearest_other(self, read: Mask) -> int:
+        """Return in how many cells what was read, (n, n) inner cells, differs from the nearest other marker."""
+        return nearest_marker(self.family, self.number, read)
+
+
+@lru_cache(maxsize=64)
+def blurred_cells(side: int, sigma: float) -> Floats:
+    """Return how bright cells are in a blurred row: (side, side + 2 margins) weights of the cells with the margin."""
+    places = np.arange(side)[:, None] + MARGIN + 0.5 + np.linspace(-SAMPLED / 2, SAMPLED / 2, 3)
+    edges = np.arange(side + 2 * MARGIN + 1)
+    below = 0.5 * (1 + np.vectorize(math.erf)((edges - places[:, :, None]) / (sigma * math.sqrt(2))))
+    # Beyond the margin it is taken to be white as well.
+    below[:, :, 0], below[:, :, -1] = 0, 1
+    weights: Floats = np.diff(below, axis=2).mean(axis=1)
+    weights.flags.writeable = False
+    return weights
