@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.camera_memory import CameraMemories, CameraMemory
 from imgu_ros.config.components import DetectionParameters, DevelopmentParameters, FeatureParameters
 from imgu_ros.config.parameters import Parameters
-from imgu_ros.detect.copies import PERFECT, require_no_better_copy
+from imgu_ros.detect.copies import PERFECT, require_no_better_copy, still_alike
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.detect.rivals import Rivals
@@ -174,6 +174,10 @@ class Localizer:
                     if followed.confirmed_share < PERFECT or len(track.observations) < _NEW:
                         lens = distorting_camera(frame.camera)
                         require_no_better_copy(context.image, reference, followed.alignment, lens)
+                    if track.alike:
+                        located = replace(followed.alignment, alike=track.alike)
+                        alike = still_alike(context.image, reference, located, distorting_camera(frame.camera))
+                        followed = replace(followed, alignment=replace(located, alike=alike))
             except EstimationError:
                 continue
             samples = followed.alignment.samples

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from imgu_ros.errors import (
     DegenerateConfiguration,
     EstimationError,
@@ -81,6 +83,12 @@ def why_ambiguous(ratio: float, limit: float) -> str:
         "two poses fit alike, need a view from nearer or more from the side "
         f"(ratio of their errors {ratio:.2f}, at most {limit:g} for a pose)"
     )
+
+
+def looks_the_same(turns_deg: Sequence[float]) -> str:
+    """Return why there is no pose of a target that looks the same when turned by these angles, degrees."""
+    turns = " or ".join(f"{turn:.0f}" for turn in sorted(turns_deg))
+    return f"it looks the same turned by {turns} degrees: which way it is turned cannot be told"
 
 
 def no_pose(error: EstimationError) -> str:

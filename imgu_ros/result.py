@@ -142,10 +142,13 @@ class ReferenceResult:
     outline : (4, 2) raw px, the target's outer corners: top left, top right, bottom right, bottom left;
         None when not found
     pose : camera_from_target with its covariance; None unless `pose_status` is metric
-    solutions : the refined planar solutions, best first: two, or one when the other cannot be
+    solutions : the refined planar solutions, best first: two, or one when the other cannot be; after them those of
+        `alike`, in its order
     ambiguity : best / second-best reprojection error of the solutions, 0 to 1; None without solutions
     calibration : what the picture says of the camera's numbers beside the pose; None without a pose, or when
         nobody asked for it
+    alike : motions (3, 3) of the template after which the target looks the same where it is: with each of them there is
+        another homography H S, and another pose, that fits as well
     sampled : patches that were compared with the raw samples, for its track; None: none were
     H_seen : where a rolling shutter shows the target, for its track; None: as `homography`
     is_sharp : whether its points were seen at full resolution: what blurred ones say of the calibration is not counted
@@ -171,6 +174,7 @@ class ReferenceResult:
     is_sharp: bool = True
     H_seen: Matrix3 | None = None
     sampled: SampledPatches | None = None
+    alike: tuple[Matrix3, ...] = ()
 
 
 def by_name(results: Iterable[ReferenceResult]) -> dict[str, ReferenceResult]:

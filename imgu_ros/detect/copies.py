@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,8 @@ def best_copy(
 ) -> tuple[Located, Evidence]:
     """Return where a reference is, of the places where it looks like itself, and what the frame says of it.
 
+    When it looks the same turned, `Located.alike` says by which motions.
+
     Parameters
     ----------
     frame : the frame's image
@@ -62,7 +64,8 @@ def best_copy(
         return located, found
     own = evidence(frame, reference, located.homography.H, camera, is_close=True)
     best = _CopyPlace(located, located.homography.H, own or found)
-    motions = _motions(copies)
+    motions = _motions(copy for copy in copies if not copy.is_symmetry)
+    rivals: list[_CopyPlace] = []
     for _ in range(_MOST_MOVES):
         rivals = [
             candidate
@@ -78,17 +81,34 @@ def best_copy(
         raise LooksAlike("the target looks the same shifted by a period, again and again")
     if best.located is None:
         raise LooksAlike("the place that fits best cannot be aligned")
+    alike = [copy for copy in copies if copy.is_symmetry]
     for rival in rivals:
-        if _apart_px(reference, rival.H, best.H) < _SAME_PX:
+        if rival.copy is None or _apart_px(reference, rival.H, best.H) < _SAME_PX:
             continue
         if better_of(best.evidence, rival.evidence) != 0:
-            turn = 0.0 if rival.copy is None else rival.copy.turn_deg
-            alike = f"turned by {turn:.0f} degrees" if turn else "shifted by a period"
-            raise LooksAlike(f"the target looks the same {alike}")
-    has_near_copy = any(copy.differing_share <= _NEARLY_SAME for copy in copies)
+            if not rival.copy.turn_deg:
+                raise LooksAlike("the target looks the same shifted by a period")
+            alike.append(rival.copy)
+    has_near_copy = any(copy.differing_share <= _NEARLY_SAME for copy in copies if copy not in alike)
     if has_near_copy and best.evidence.is_confirming and best.evidence.share < _CLEARLY:
         raise LooksAlike(f"{best.evidence.share:.0%} of what is in view looks as it should, {_CLEARLY:.0%} needed")
-    return best.located, best.evidence
+    return replace(best.located, alike=tuple(copy.H for copy in alike)), best.evidence
+
+
+def still_alike(
+    frame: FrameImage, reference: Reference, located: Located, camera: Camera | None
+) -> tuple[Matrix3, ...]:
+    """Return the motions of `located.alike` after which a tracked reference still looks the same.
+
+    Parameters
+    ----------
+    frame, reference, camera : see `best_copy`
+    located : where the track led
+    """
+    H = located.homography.H if located.H_seen is None else located.H_seen
+    own = evidence(frame, reference, H, camera, is_close=True)
+    others = ((S, evidence(frame, reference, H @ S, camera, is_close=True)) for S in located.alike)
+    return tuple(S for S, there in others if better_of(own, there) != 0)
 
 
 def require_no_better_copy(frame: FrameImage, reference: Reference, located: Located, camera: Camera | None) -> None:

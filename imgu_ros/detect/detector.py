@@ -14,7 +14,8 @@ from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.components import DetectionParameters
 from imgu_ros.detect.features import Features, find_faint_features
 from imgu_ros.detect.frame_context import FrameContext
-from imgu_ros.detect.robust_fit import draws
+from imgu_ros.detect.outlines import OutlineSearch
+from imgu_ros.detect.robust_fit import RobustFit, draws
 from imgu_ros.detect.search_passes import SearchPass, search, tentative_matches
 from imgu_ros.reference.features import TargetFeatures, extractor_options, thorough_parameters
 from imgu_ros.reference.planar import PlanarReference
@@ -73,6 +74,7 @@ class ReferenceDetector:
         self._references = tuple(references)
         self._parameters = parameters
         self._index: DescriptorIndex | None = None
+        self._outlines = OutlineSearch(references)
         cache = BuildCache() if cache is None else cache
         self._extractor = cache.make(make_extractor, extractor_options(parameters))
         if len(references) > _DIRECT:
@@ -111,7 +113,23 @@ class ReferenceDetector:
                     covered.append(result.outline)
                     del left[result.name]
                     yield result
+            if again and search_pass is SearchPass.FIRST:
+                for result in self._by_outline(context, [each for each in wanted if each.name in left]):
+                    covered.append(result.outline)
+                    del left[result.name]
+                    yield result
         yield from (result for result in left.values() if result is not None)
+
+    def _by_outline(self, context: FrameContext, wanted: Sequence[PlanarReference]) -> Iterator[ReferenceResult]:
+        """Yield the results of references that are found by their outlines."""
+        with context.clock.measures(Stage.MATCH):
+            places = self._outlines.places(context, wanted)
+        fit = RobustFit(context.frame, context.image, 1.0, self._parameters, context.clock)
+        for reference in wanted:
+            missing = ReferenceResult(reference.name, reference.number, Status.LOST)
+            result = fit.locate_at(missing, reference, places.get(reference.name, ()))
+            if result.outline is not None:
+                yield result
 
     def _search(
         self,

@@ -50,6 +50,8 @@ _AGREEING = 0.36
 #: true poses did to 0.07, a ticket's under a hand to 0.19 with corners 15 px off (benchmarks/printed_targets.py, seed
 #: 811).
 _MOSTLY_COVERED, _AGREE_TO_PX = 0.45, 0.15
+#: Share of what is in view that must look as it should where no keypoints agreed before.
+_BY_OUTLINE = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,6 +144,35 @@ class RobustFit:
             if finish is not None:
                 return finish(detected, located)
             return reference.pose(detected, located, self._frame)
+
+    def locate_at(
+        self, result: ReferenceResult, reference: Reference, starts: Sequence[Matrix3]
+    ) -> ReferenceResult:
+        """Return the result of a reference that may be near some places: at the first one that the frame confirms.
+
+        Parameters
+        ----------
+        result : what is known so far
+        reference : the reference
+        starts : H_image_template, ideal px
+        """
+        p = self._parameters
+        for H in starts:
+            located = self._aligned(reference, H)
+            if located is None:
+                continue
+            try:
+                with self._clock.measures(Stage.HOMOGRAPHY):
+                    there, found = self._confirmed(reference, located)
+                    if found is None or found.share < _BY_OUTLINE:
+                        continue
+            except EstimationError as error:
+                result = _missing(result, error, 0, p)
+                continue
+            with self._clock.measures(Stage.POSE):
+                detected = replace(result, status=Status.DETECTED, reason="", confirmed_share=found.share)
+                return reference.pose(detected, there, self._frame)
+        return result
 
     def _verified(
         self, reference: Reference, agreed: _Agreed, matches: ReferenceMatches, located: Located | None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -15,12 +16,13 @@ from imgu_ros.errors import DegenerateConfiguration, EstimationError, Undetermin
 from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.plane import Plane
-from imgu_ros.reasons import NO_CAMERA_INFO, NO_SIZE, no_pose, why_ambiguous
+from imgu_ros.reasons import NO_CAMERA_INFO, NO_SIZE, looks_the_same, no_pose, why_ambiguous
 from imgu_ros.result import PoseStatus, ReferenceResult
 from imgu_ros.types import Floats, Matrix3, Points
 from imgu_ros.vision.camera.homography_pose import poses_of_homography_unchecked
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.planar_pose import planar_poses
+from imgu_ros.vision.camera.pose_fusion import pose_after
 from imgu_ros.vision.projective.homography import HomographyEstimate, HomographyNormalEquations
 
 #: A target whose outline covers less than this in the frame is not one.
@@ -47,6 +49,7 @@ class Located:
     normal_equations : of the correspondences; None: not computed
     halvings : of the level of the frame in which they were found; 0: full resolution
     H_seen : H_image_template where a rolling shutter shows the reference, for its track; None: as `homography`
+    alike : motions (3, 3) of the template after which the reference looks the same there: it may as well be turned so
     told_covariance : (9, 9) of the homography by the correspondences alone, where its own also has a motion that nobody
         knows; None: its own
     """
@@ -58,6 +61,7 @@ class Located:
     halvings: int = 0
     H_seen: Matrix3 | None = None
     told_covariance: Floats | None = None
+    alike: tuple[Matrix3, ...] = ()
 
 
 @lru_cache(maxsize=8)
@@ -84,6 +88,7 @@ def with_homography(found: ReferenceResult, plane: Plane, located: Located, came
         outline=outline,
         is_sharp=located.halvings == 0,
         H_seen=located.H_seen,
+        alike=located.alike,
     )
 
 
@@ -113,10 +118,10 @@ def planar_pose(
     camera = frame.camera
     found = with_homography(found, plane, located, camera)
     if camera is None:
-        reason = frame.camera_reason or NO_CAMERA_INFO
+        reason = _with_turns(frame.camera_reason or NO_CAMERA_INFO, located)
         return replace(found, pose_status=PoseStatus.UNCALIBRATED, reason=reason)
     if plane.width_m == 0:
-        return replace(found, pose_status=PoseStatus.NO_SIZE, reason=NO_SIZE)
+        return replace(found, pose_status=PoseStatus.NO_SIZE, reason=_with_turns(NO_SIZE, located))
     try:
         if located.normal_equations is not None and found.outline is not None:
             asked = check is None or camera.covariance is not None or check.wants(camera, found.name, found.outline)
@@ -132,16 +137,33 @@ def planar_pose(
     except EstimationError as error:
         return replace(found, reason=no_pose(error))
     limit = parameters.ambiguity_ratio
-    is_ambiguous = poses.ambiguity > limit
+    reasons = [why_ambiguous(poses.ambiguity, limit)] if poses.ambiguity > limit else []
+    solutions, ambiguity = poses.solutions, poses.ambiguity
+    if located.alike:
+        motions = [plane.motion(S) for S in located.alike]
+        solutions += tuple(pose_after(pose, motion) for motion in motions for pose in poses.solutions)
+        ambiguity = 1.0
+        reasons.append(looks_the_same(turns_of(located.alike)))
+    is_ambiguous = bool(reasons)
     return replace(
         found,
         pose_status=PoseStatus.AMBIGUOUS if is_ambiguous else PoseStatus.METRIC,
-        reason=why_ambiguous(poses.ambiguity, limit) if is_ambiguous else "",
+        reason="; ".join(reasons),
         pose=None if is_ambiguous else poses.solutions[0],
-        solutions=poses.solutions,
-        ambiguity=poses.ambiguity,
+        solutions=solutions,
+        ambiguity=ambiguity,
         calibration=None if is_ambiguous else poses.calibration,
     )
+
+
+def _with_turns(reason: str, located: Located) -> str:
+    """Return why there is no pose, and where it applies, that the homography is one of several."""
+    return f"{reason}; {looks_the_same(turns_of(located.alike))}" if located.alike else reason
+
+
+def turns_of(motions: Iterable[Matrix3]) -> list[float]:
+    """Return by how much motions (3, 3) of a template turn it, degrees, 0 to 360."""
+    return [math.degrees(math.atan2(S[1, 0], S[0, 0])) % 360 for S in motions]
 
 
 def seen_outline(plane: Plane, H: Matrix3) -> Points:

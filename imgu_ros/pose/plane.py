@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from imgu_ros.types import Points
+from imgu_ros.types import Matrix3, Points
+from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.projective.transform import inverse3
 
 
 class Plane:
@@ -37,6 +39,13 @@ class Plane:
         )
         for array in (self.outline, self.outline_homogeneous, self.metres_from_template):
             array.flags.writeable = False
+
+    def motion(self, S: Matrix3) -> RigidTransform:
+        """Return a motion (3, 3) of the template, which keeps its size, as one of the metric frame."""
+        moved = self.metres_from_template @ S @ inverse3(self.metres_from_template)
+        c, s = moved[:2, 0] / np.hypot(*moved[:2, 0])
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        return RigidTransform(R, np.array((*moved[:2, 2], 0.0)))
 
     def to_metres(self, template_xy: Points) -> Points:
         """Map template px (N, 2) to the metric frame."""

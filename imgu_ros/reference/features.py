@@ -15,7 +15,7 @@ import numpy as np
 from imgu_ros.config.components import DetectionParameters, FeatureParameters
 from imgu_ros.config.parameters import PreprocessParameters
 from imgu_ros.image.preprocessing import for_targets, preprocessed, with_edges
-from imgu_ros.types import Image
+from imgu_ros.types import Image, Indices
 from imgu_ros.vision.descriptors.describe import Descriptions
 from imgu_ros.vision.descriptors.extractor import ExtractorOptions, FeatureExtractor
 from imgu_ros.vision.keypoints.keypoints import Keypoints
@@ -201,6 +201,12 @@ def thorough_features(grey: Image, options: DescriptionOptions, extractor: Featu
     views += [_oblique(grey, options, extractor, math.pi * k / _DIRECTIONS) for k in range(_DIRECTIONS)]
     keypoints = together([view.keypoints for view in views])
     return _gathered(Descriptions(keypoints, np.concatenate([view.descriptors for view in views])), options)
+
+
+def chosen_features(features: TargetFeatures, which: Indices, options: DescriptionOptions) -> TargetFeatures:
+    """Return some of a target's features."""
+    k, descriptors = features.described.keypoints, features.described.descriptors
+    return _gathered(Descriptions(k.chosen(which), descriptors[which]), options)
 
 
 def together(keypoints: Sequence[Keypoints]) -> Keypoints:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,10 @@ from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located, planar_pose
 from imgu_ros.pose.plane import Plane
 from imgu_ros.reference.features import (
+    DescriptionOptions,
     FeaturesOnDemand,
     TargetFeatures,
+    chosen_features,
     close_features,
     description_options,
     target_features,
@@ -27,6 +29,7 @@ from imgu_ros.reference.features import (
     thorough_parameters,
 )
 from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.self_similarity import copies_of
 from imgu_ros.reference.templates import (
     LightTemplates,
     TargetImage,
@@ -35,6 +38,7 @@ from imgu_ros.reference.templates import (
     grey_template,
 )
 from imgu_ros.result import ReferenceResult
+from imgu_ros.types import Image
 from imgu_ros.vision.descriptors.extractor import make_extractor
 
 
@@ -124,18 +128,45 @@ def planar_reference(
     first, thorough = description_options(p), description_options(thorough_parameters(p))
     extractor = cache.make(make_extractor, first.extractor)
     pyramids = cache.make(TemplatePyramids, image, weights, p.pyramid.kernel)
+    templates = cache.make(Templates, pyramids, p.refinement.max_points)
+    symmetry = cache.make(_Symmetry, templates)
     return cache.make(
         PlanarReference,
         number,
         image,
-        cache.make(Templates, pyramids, p.refinement.max_points),
+        templates,
         cache.make(LightTemplates, image, weights),
-        cache.make(_on_demand, target_features, grey, first, extractor),
-        cache.make(_on_demand, close_features, grey, first, extractor),
-        cache.make(_on_demand, thorough_features, grey, thorough, extractor),
+        cache.make(_on_demand, symmetry, target_features, grey, first, extractor),
+        cache.make(_on_demand, symmetry, close_features, grey, first, extractor),
+        cache.make(_on_demand, symmetry, thorough_features, grey, thorough, extractor),
         p.pose,
     )
 
 
-def _on_demand(make: Callable[..., TargetFeatures], *arguments: Any) -> FeaturesOnDemand:
-    return FeaturesOnDemand(partial(make, *arguments))
+class _Symmetry:
+    """How often a target looks the same while it is turned once; computed when it is first asked for."""
+
+    def __init__(self, templates: Templates) -> None:
+        self._templates = templates
+
+    @cached_property
+    def order(self) -> int:
+        octaves = next(iter(self._templates.values()), None) or self._templates[True]
+        return 1 + sum(copy.is_symmetry for copy in copies_of(octaves))
+
+
+def _on_demand(symmetry: _Symmetry, make: Callable[..., TargetFeatures], *arguments: Any) -> FeaturesOnDemand:
+    return FeaturesOnDemand(partial(_distinct, symmetry, make, *arguments))
+
+
+def _distinct(
+    symmetry: _Symmetry, make: Callable[..., TargetFeatures], grey: Image, options: DescriptionOptions, *rest: Any
+) -> TargetFeatures:
+    """Return the features of a target: of one sector where it looks the same when it is turned, lest twins compete."""
+    features = make(grey, options, *rest)
+    if symmetry.order == 1:
+        return features
+    k = features.described.keypoints
+    x, y = (k.xy - (np.array(grey.shape[::-1]) - 1) / 2).T
+    sector = 2 * np.pi / symmetry.order
+    return chosen_features(features, np.flatnonzero(np.arctan2(y, x) % (2 * np.pi) < sector), options)

@@ -31,6 +31,12 @@ _MOST_DIFFERING = 0.6
 #: Longer side of the image in which a copy's motion is refined, px, the steps of it, and how far its corners may go, as
 #: a share of that side: two px of the image before.
 _REFINED_SIDE_PX, _STEPS, _MOST_REFINED = 192, 30, 0.06
+#: A turn about the target's centre: a part of a whole one within this angle, degrees, its centre within this share of
+#: the longer side. Such a copy, of at least this similarity, may be a symmetry of the drawing.
+_SNAP_DEG, _SNAP_SHARE, _SYMMETRIC = 0.5, 0.01, 0.9
+#: Largest difference of a cell of the target from that of a symmetry, as a share of the target's contrast: of drawings,
+#: edges between pixels differ by less; a mark that breaks the symmetry differs by more.
+_SYMMETRY_RESIDUAL = 0.35
 #: Variance of a cell with enough contrast to tell.
 _TEXTURED = 36.0
 #: Correlation of cells that are alike.
@@ -48,6 +54,7 @@ class Copy:
     shift_px : motion of the target's centre, template px
     similarity : correlation of the target with its copy, up to 1
     differing_share : share of the target's cells with texture that differ, 0 to 1
+    is_symmetry : nothing differs: no frame can tell which it shows
     """
 
     H: Matrix3
@@ -55,6 +62,7 @@ class Copy:
     shift_px: float
     similarity: float
     differing_share: float
+    is_symmetry: bool = False
 
 
 def copies_of(octaves: Sequence[TemplateOctave]) -> tuple[Copy, ...]:
@@ -96,12 +104,14 @@ def copies_of(octaves: Sequence[TemplateOctave]) -> tuple[Copy, ...]:
             kept.append(each)
     copies = [_copy(octave, image, *each) for each in kept]
     copies = [_refined(octaves, each) for each in copies if each.differing_share <= _MOST_DIFFERING]
+    size = octaves[0].level.image.shape[1] * octaves[0].scale, octaves[0].level.image.shape[0] * octaves[0].scale
+    copies = [_symmetry(octaves, each, *size) for each in copies]
     return tuple(sorted(copies, key=lambda each: each.differing_share)[:_MOST])
 
 
 def _refined(octaves: Sequence[TemplateOctave], copy: Copy) -> Copy:
     """Return a copy whose motion is aligned in a finer image, so that a frame need not be aligned with it."""
-    octave = min(octaves, key=lambda each: abs(math.log(max(each.level.image.shape) / _REFINED_SIDE_PX)))
+    octave = _fine(octaves)
     image = octave.level.image
     S = octave.scaling.reduced_from_full @ copy.H @ octave.scaling.full_from_reduced
     # The target looks at x as at S x.
@@ -117,6 +127,38 @@ def _refined(octaves: Sequence[TemplateOctave], copy: Copy) -> Copy:
     if similarity < copy.similarity or not away <= _MOST_REFINED:
         return copy
     return replace(copy, H=octave.scaling.full_from_reduced @ found @ octave.scaling.reduced_from_full)
+
+
+def _symmetry(octaves: Sequence[TemplateOctave], copy: Copy, width: float, height: float) -> Copy:
+    """Return a copy by a turn about the centre as exactly that, where it is a symmetry of a target of that size, px."""
+    if copy.similarity < _SYMMETRIC or not copy.turn_deg:
+        return copy
+    turn = math.degrees(math.atan2(copy.H[0, 1], copy.H[0, 0])) % 360
+    orders = [round(k * 360 / turn) for k in range(1, 12) if abs(round(k * 360 / turn) * turn - k * 360) < _SNAP_DEG]
+    centre = np.array(((width - 1) / 2, (height - 1) / 2, 1.0))
+    away = np.hypot(*(copy.H @ centre - centre)[:2])
+    if not orders or away > _SNAP_SHARE * max(width, height):
+        return copy
+    order = orders[0]
+    exact = round(turn * order / 360) * 360 / order
+    M = cv2.getRotationMatrix2D(tuple(centre[:2]), exact, 1.0)
+    H = np.vstack((M, (0.0, 0.0, 1.0)))
+    octave = _fine(octaves)
+    image = octave.level.image.astype(np.float32)
+    S = octave.scaling.reduced_from_full @ H @ octave.scaling.full_from_reduced
+    size = image.shape[1], image.shape[0]
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpPerspective(image, S, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    rows, columns = (side // CELL * CELL for side in image.shape)
+    away = cell_means((moved - image)[:rows, :columns] ** 2)
+    if math.sqrt(float(away.max())) > _SYMMETRY_RESIDUAL * float(image.std()):
+        return copy
+    return Copy(H, exact, 0.0, copy.similarity, 0.0, is_symmetry=True)
+
+
+def _fine(octaves: Sequence[TemplateOctave]) -> TemplateOctave:
+    """Return the octave in which motions are known to a part of a pixel."""
+    return min(octaves, key=lambda each: abs(math.log(max(each.level.image.shape) / _REFINED_SIDE_PX)))
 
 
 def _apart(one: tuple[float, float, Matrix3], other: tuple[float, float, Matrix3]) -> bool:

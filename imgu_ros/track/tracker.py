@@ -204,6 +204,7 @@ class Track:
     errors_px : of each hypothesis, in this order, the recent error of the outline's corners after an interval as long
         as the last one; empty: no prediction was compared with an observation yet
     sampled : patches that were compared with the raw samples of the last frame; None: none were
+    alike : motions (3, 3) of the template after which the reference looks the same
 
     Attributes
     ----------
@@ -215,7 +216,9 @@ class Track:
         observations: Sequence[Observation],
         errors_px: Sequence[float] = (),
         sampled: SampledPatches | None = None,
+        alike: tuple[Matrix3, ...] = (),
     ) -> None:
+        self.alike = alike
         self.observations = tuple(observations)[:_MOST_OBSERVATIONS]
         self.errors_px = tuple(errors_px)
         self.sampled = sampled
@@ -228,15 +231,20 @@ class Track:
 
     def without_patches(self) -> Track:
         """Return the track without what was compared with the samples."""
-        return Track(self.observations, self.errors_px)
+        return Track(self.observations, self.errors_px, alike=self.alike)
 
     def continued(
-        self, reference: Reference, H: Matrix3, stamp_ns: int, sampled: SampledPatches | None = None
+        self,
+        reference: Reference,
+        H: Matrix3,
+        stamp_ns: int,
+        sampled: SampledPatches | None = None,
+        alike: tuple[Matrix3, ...] = (),
     ) -> Track:
-        """Return the track with one more observation, and the patches that were compared with its samples."""
+        """Return the track with one more observation, the patches that were compared with its samples, and `alike`."""
         observations = (Observation(H, stamp_ns), *self.observations)
         if len(self.observations) == 1:
-            return Track(observations, sampled=sampled)
+            return Track(observations, sampled=sampled, alike=alike)
         self._predict(reference, stamp_ns)
         xy = _corners(np.array((H, *self._hypotheses)), reference)
         away = xy[1:] - xy[0]
@@ -245,7 +253,8 @@ class Track:
         errors = [px / max(growth, 1.0) for px, growth in zip(distances, self._growth, strict=False)]
         # A small error by chance is forgotten sooner than a large one.
         before = [*self.errors_px, 0.0, 0.0, 0.0][: len(errors)]
-        return Track(observations, [max(new, _MEMORY * old) for new, old in zip(errors, before, strict=True)], sampled)
+        expected = [max(new, _MEMORY * old) for new, old in zip(errors, before, strict=True)]
+        return Track(observations, expected, sampled, alike)
 
     def expected(self, reference: Reference, stamp_ns: int) -> Prediction:
         """Return where the reference is expected at a time."""

@@ -148,6 +148,32 @@ def pose_seen_from(new_from_dst: RigidTransform, pose: Pose) -> Pose:
     return Pose(moved.R, moved.t, turn @ covariance @ turn.T, pose.rms_px, shared)
 
 
+def pose_after(pose: Pose, src_from_new: RigidTransform) -> Pose:
+    """Return `dst_from_new` for a pose `dst_from_src` and a motion of its source, which is known exactly.
+
+    Parameters
+    ----------
+    pose : `dst_from_src`; the turn's error carries the new origin about the old one
+    src_from_new : of the new source in the old one
+
+    Raises
+    ------
+    ShapeError
+        If one of them is no rigid transform.
+    """
+    require_type(pose, Pose, "pose")
+    require_type(src_from_new, RigidTransform, "src_from_new")
+    first = RigidTransform(as_rotation(src_from_new.R, "src_from_new"), as_matrix(src_from_new.t, (3,), "src_from_new.t"))
+    R = as_rotation(pose.R, "pose")
+    moved = RigidTransform(R, as_matrix(pose.t, (3,), "pose.t")).after(first)
+    x, y, z = R @ first.t
+    J = np.eye(6)
+    J[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # to first order, a turn by d moves the origin by d x (R t)
+    covariance = J @ as_matrix(pose.covariance, (6, 6), "pose.covariance") @ J.T
+    shared = None if pose.shared is None else J @ pose.shared
+    return Pose(moved.R, moved.t, covariance, pose.rms_px, shared)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
     """The best pose for some covariances, its own covariance, and the squared distances of the estimates from it.
