@@ -62,14 +62,18 @@ class CameraMemory:
             return
         observation = Observation(found.homography.H if found.H_seen is None else found.H_seen, time_ns)
         if track is not None and found.status is Status.TRACKED:
-            self.tracks[reference.name] = track.continued(
-                reference, observation.H, time_ns, found.sampled, found.alike
-            )
+            self.tracks[reference.name] = track.continued(reference, observation.H, time_ns, found.sampled, found.alike)
         else:
             self.tracks[reference.name] = Track(
                 [observation, *self._shortly_before(reference.name, time_ns)], sampled=found.sampled, alike=found.alike
             )
         self._last_seen[reference.name] = observation
+
+    def forget(self, names: Set[str]) -> None:
+        """Forget how some references moved."""
+        for name in names:
+            self.tracks.pop(name, None)
+            self._last_seen.pop(name, None)
 
     def copy(self) -> CameraMemory:
         """Return a memory for other parameters; frame times and calibration check are shared.

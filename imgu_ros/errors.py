@@ -90,7 +90,16 @@ class Undetermined(EstimationError):
 
 
 class LooksAlike(Undetermined):
-    """Several answers fit alike."""
+    """Several answers fit alike.
+
+    Attributes
+    ----------
+    share : of what was compared, the part that looks as it should, 0 to 1; None: not known
+    """
+
+    def __init__(self, message: str = "", share: float | None = None) -> None:
+        super().__init__(message)
+        self.share = share
 
 
 class NotConverged(EstimationError):

@@ -17,6 +17,7 @@ from imgu_ros.detect.rivals import Rivals
 from imgu_ros.errors import EstimationError, ImguError, ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
+from imgu_ros.pose.map_pose import MapPlace, told_apart
 from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.features import extractor_options
@@ -25,6 +26,7 @@ from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_detectors, prepare_references
 from imgu_ros.result import ReferenceResult, Result, Stage, StageClock, Status, by_name
 from imgu_ros.track.tracker import follow, followed_result
+from imgu_ros.vision.camera.rigid import rigid_transforms
 from imgu_ros.vision.descriptors.extractor import make_extractor
 
 #: While one reference is tracked, every so many searches for a few missing ones are thorough.
@@ -123,6 +125,8 @@ class Localizer:
                 results |= self._detect(context, memory, missing, results.values())
             results = self._rivals.settled(context, results, is_due)
             features = context.features if with_keypoints else context.computed_features
+            results, turned = told_apart(results, self._planes, self._places, frame.camera)
+            memory.forget(turned)
             results = {name: results.get(name) or _lost(each, is_due) for name, each in self._references.items()}
             self._remember(memory, results, time_ns)
             memory.frames_without_search = 0 if is_due or not missing else memory.frames_without_search + 1
@@ -157,6 +161,13 @@ class Localizer:
         if len(self._references) < len(references):
             names = ", ".join(reference.name for reference in references)
             raise ParameterError(f"references: {names}; need unique names")
+        self._planes = {reference.name: reference.plane for reference in references}
+        targets = self._parameters.targets
+        poses = rigid_transforms(targets.poses, "targets.poses")
+        # A reference has the place of its number in the lists.
+        self._places = {
+            each.name: MapPlace(poses[each.number], each.width_m) for each in references if each.number < len(poses)
+        }
         self._detectors = make_detectors(self.references, self._parameters, self._cache)
         self._rivals = Rivals(self.references, DetectionParameters.of(self._parameters))
         self._cameras.keep(self._references.keys())

@@ -78,20 +78,21 @@ def best_copy(
         # A copy of a copy may be better still: of a pattern, several periods away.
         best = better
     else:
-        raise LooksAlike("the target looks the same shifted by a period, again and again")
+        raise LooksAlike("the target looks the same shifted by a period, again and again", best.evidence.share)
     if best.located is None:
-        raise LooksAlike("the place that fits best cannot be aligned")
+        raise LooksAlike("the place that fits best cannot be aligned", best.evidence.share)
     alike = [copy for copy in copies if copy.is_symmetry]
     for rival in rivals:
         if rival.copy is None or _apart_px(reference, rival.H, best.H) < _SAME_PX:
             continue
         if better_of(best.evidence, rival.evidence) != 0:
             if not rival.copy.turn_deg:
-                raise LooksAlike("the target looks the same shifted by a period")
+                raise LooksAlike("the target looks the same shifted by a period", best.evidence.share)
             alike.append(rival.copy)
     has_near_copy = any(copy.differing_share <= _NEARLY_SAME for copy in copies if copy not in alike)
     if has_near_copy and best.evidence.is_confirming and best.evidence.share < _CLEARLY:
-        raise LooksAlike(f"{best.evidence.share:.0%} of what is in view looks as it should, {_CLEARLY:.0%} needed")
+        share = best.evidence.share
+        raise LooksAlike(f"{share:.0%} of what is in view looks as it should, {_CLEARLY:.0%} needed", share)
     return replace(best.located, alike=tuple(copy.H for copy in alike)), best.evidence
 
 

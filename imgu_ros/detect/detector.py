@@ -115,6 +115,10 @@ class ReferenceDetector:
                     yield result
             if again and search_pass is SearchPass.FIRST:
                 for result in self._by_outline(context, [each for each in wanted if each.name in left]):
+                    if result.outline is None:
+                        if result.confirmed_share is not None:
+                            left[result.name] = result
+                        continue
                     covered.append(result.outline)
                     del left[result.name]
                     yield result
@@ -127,9 +131,7 @@ class ReferenceDetector:
         fit = RobustFit(context.frame, context.image, 1.0, self._parameters, context.clock)
         for reference in wanted:
             missing = ReferenceResult(reference.name, reference.number, Status.LOST)
-            result = fit.locate_at(missing, reference, places.get(reference.name, ()))
-            if result.outline is not None:
-                yield result
+            yield fit.locate_at(missing, reference, places.get(reference.name, ()))
 
     def _search(
         self,

@@ -88,7 +88,7 @@ class OutlineSearch:
         sides = np.hypot(*np.moveaxis(np.roll(corners, -1, axis=1) - corners, -1, 0))
         steps = np.log2(np.maximum(np.sqrt(sides.max(axis=1) * sides.mean(axis=1)) / _SIDE_PX, 1.0))
         levels = np.minimum(np.rint(steps).astype(int), image.most_halvings)
-        seen = np.zeros((len(corners), _SIDE_PX**2), np.float32)
+        seen = np.zeros((len(corners), _SIDE_PX**2))
         for level in np.unique(levels):
             chosen = levels == level
             x, y = np.moveaxis(((at[chosen] + 0.5) / 2.0**level - 0.5).astype(np.float32), 1, 0)
@@ -97,13 +97,13 @@ class OutlineSearch:
         return _normalised(seen)
 
     def _turned(self, reference: Reference, linear: bool) -> Floats:
-        """Return how a reference looks with each of its corners at the first one of a quadrilateral, (4, _SIDE_PX^2)."""
+        """Return how a reference looks from each of its corners on, (4, _SIDE_PX^2)."""
         key = reference.name, linear
         if key not in self._known:
             octaves = reference.templates[linear]
             octave = min(octaves, key=lambda each: abs(math.log(min(each.level.image.shape) / (2 * _SIDE_PX))))
             small = cv2.resize(octave.level.image, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
-            turned = np.stack([np.rot90(small, -k).ravel() for k in range(4)]).astype(np.float32)
+            turned = np.stack([np.rot90(small, -k).ravel() for k in range(4)]).astype(np.float64)
             self._known[key] = _normalised(turned)
         return self._known[key]
 

@@ -79,7 +79,8 @@ def search(
     if parameters.matching.guided:
         lens = distorting_camera(context.frame.camera)
         guide = partial(guided, reference, known, features, lens=lens, parameters=parameters)
-    fit = RobustFit(context.frame, context.image, features.unit_px, parameters, context.clock)
+    is_thorough = search_pass is SearchPass.THOROUGH
+    fit = RobustFit(context.frame, context.image, features.unit_px, parameters, context.clock, is_thorough)
     return fit.locate(missing, reference, rng, guide)
 
 

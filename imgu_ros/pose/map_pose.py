@@ -1,17 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the camera is in the map, told by all targets seen whose places in it are known."""
+"""Where the camera is in the map, told by all targets whose places are known; and what that tells of other targets."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgu_ros.result import Result
-from imgu_ros.types import Floats
+from imgu_ros.errors import EstimationError
+from imgu_ros.pose.planar_pose import distorting_camera, seen_outline
+from imgu_ros.pose.plane import Plane
+from imgu_ros.result import PoseStatus, ReferenceResult
+from imgu_ros.types import Floats, Matrix3
+from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_seen_from
 from imgu_ros.vision.camera.rigid import RigidTransform
+from imgu_ros.vision.camera.rotation import log_so3
+from imgu_ros.vision.projective.homography import HomographyEstimate
+from imgu_ros.vision.projective.transform import inverse3
+
+#: Of several poses of a target, that whose rotation differs by at most this, rad, from what others tell is right, when
+#: the next one differs by so many times as much.
+_NEAR_RAD, _CLEARLY = math.radians(10), 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +39,7 @@ def map_places(names: Iterable[str], poses: Sequence[RigidTransform], widths_m: 
     return {name: MapPlace(pose, width) for name, pose, width in zip(names, poses, widths_m, strict=False)}
 
 
-def camera_in_map(result: Result, places: Mapping[str, MapPlace]) -> FusedPose | None:
+def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, MapPlace]) -> FusedPose | None:
     """Return `map_from_camera`, fused over the references by their covariances; None when none has a pose.
 
     The error of each reference's pose is its own (other pixels, other noise). Their places are taken as exact as long
@@ -36,7 +48,7 @@ def camera_in_map(result: Result, places: Mapping[str, MapPlace]) -> FusedPose |
 
     Parameters
     ----------
-    result : of a frame
+    results : of a frame
     places : of the references, by name
 
     Raises
@@ -45,13 +57,85 @@ def camera_in_map(result: Result, places: Mapping[str, MapPlace]) -> FusedPose |
         If the poses contradict each other so much that no pose lies between them.
     """
     poses, slack = [], []
-    for found in result:
+    for found in results:
         if found.pose is not None and found.name in places:
             place = places[found.name]
             pose = pose_seen_from(place.map_from_reference, found.pose.inverse())
             poses.append(pose)
             slack.append(_misplacement(place.map_from_reference.t - pose.t, place.width_m))
     return fuse_poses(poses, slack) if poses else None
+
+
+def told_apart(
+    results: Mapping[str, ReferenceResult],
+    planes: Mapping[str, Plane],
+    places: Mapping[str, MapPlace],
+    camera: Camera | None,
+) -> tuple[dict[str, ReferenceResult], set[str]]:
+    """Return results of which ambiguous poses are settled by targets that are not, and the names of those turned.
+
+    A target that looks the same when it is turned, or whose two planar solutions fit alike, has the pose that agrees
+    with where the other targets say that the camera is.
+
+    Parameters
+    ----------
+    results : of a frame, by name
+    planes : of the references, by name
+    places : of those whose places in the map are known
+    camera : of the frame
+    """
+    settled, turned = dict(results), set[str]()
+    ambiguous = [each for each in results.values() if each.pose_status is PoseStatus.AMBIGUOUS and each.name in places]
+    if not ambiguous:
+        return settled, turned
+    try:
+        fused = camera_in_map(results.values(), places)
+    except EstimationError:
+        fused = None
+    if fused is None:
+        return settled, turned
+    for found in ambiguous:
+        expected = fused.pose.transform.inverse().after(places[found.name].map_from_reference)
+        away = [float(np.linalg.norm(log_so3(pose.R @ expected.R.T))) for pose in found.solutions]
+        order = np.argsort(away)
+        best = int(order[0])
+        if away[best] > _NEAR_RAD or (len(order) > 1 and away[best] * _CLEARLY > away[order[1]]):
+            continue
+        # First the planar solutions, then those of each motion.
+        motion = best // (len(found.solutions) // (1 + len(found.alike)))
+        if motion:
+            found = _turned(found, found.alike[motion - 1], planes[found.name], camera)
+            turned.add(found.name)
+        settled[found.name] = replace(
+            found, pose_status=PoseStatus.METRIC, reason="", pose=found.solutions[best], alike=()
+        )
+    return settled, turned
+
+
+def _turned(found: ReferenceResult, S: Matrix3, plane: Plane, camera: Camera | None) -> ReferenceResult:
+    """Return a result whose homography H has become H S, and what goes with it."""
+    assert found.homography is not None
+    estimate = found.homography
+    H = estimate.H @ S
+    size = float(np.linalg.norm(H))
+    h = (H / size).ravel()
+    J = (np.eye(9) - np.outer(h, h)) @ np.kron(np.eye(3), S.T) / size
+    turned = HomographyEstimate(
+        H / size, J @ estimate.covariance @ J.T, estimate.inliers, estimate.rms_px, estimate.iterations
+    )
+    outline, lens = seen_outline(plane, H), distorting_camera(camera)
+    matches = found.matches
+    if matches is not None:
+        x, y, w = inverse3(S) @ np.vstack((matches.template_xy.T, np.ones(len(matches.template_xy))))
+        matches = replace(matches, template_xy=np.column_stack((x / w, y / w)))
+    return replace(
+        found,
+        homography=turned,
+        outline=outline if lens is None else lens.raw_pixels(outline),
+        matches=matches,
+        H_seen=None if found.H_seen is None else found.H_seen @ S,
+        sampled=None,
+    )
 
 
 def _misplacement(from_camera: Floats, width_m: float) -> Floats:

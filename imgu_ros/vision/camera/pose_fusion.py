@@ -163,7 +163,8 @@ def pose_after(pose: Pose, src_from_new: RigidTransform) -> Pose:
     """
     require_type(pose, Pose, "pose")
     require_type(src_from_new, RigidTransform, "src_from_new")
-    first = RigidTransform(as_rotation(src_from_new.R, "src_from_new"), as_matrix(src_from_new.t, (3,), "src_from_new.t"))
+    t = as_matrix(src_from_new.t, (3,), "src_from_new.t")
+    first = RigidTransform(as_rotation(src_from_new.R, "src_from_new"), t)
     R = as_rotation(pose.R, "pose")
     moved = RigidTransform(R, as_matrix(pose.t, (3,), "pose.t")).after(first)
     x, y, z = R @ first.t

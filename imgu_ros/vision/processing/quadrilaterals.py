@@ -71,7 +71,7 @@ def quadrilaterals(channels: Sequence[Image], most: int = 600) -> Floats:
     corners = _from_corners(*_corners(_joined(np.concatenate([_segments(each) for each in images]))), images[0].shape)
     if not len(corners):
         return np.zeros((0, 4, 2))
-    share = np.max([_edge_share(each, corners) for each in images], axis=0)
+    share: Floats = np.max([_edge_share(each, corners) for each in images], axis=0)
     kept: Floats = corners[np.argsort(-share, kind="stable")[:most]]
     return kept
 
@@ -91,7 +91,7 @@ def _joined(ends: Floats) -> Floats:
     ends, lengths = ends[order], lengths[order]
     directions = (ends[:, 1] - ends[:, 0]) / lengths[:, None]
     used = np.zeros(len(ends), bool)
-    joined = []
+    joined: list[tuple[Floats, Floats]] = []
     for index in range(len(ends)):
         if used[index]:
             continue
@@ -126,12 +126,13 @@ def _corners(segments: Floats) -> tuple[Points, Floats]:
     along = (segments[:, 1] - start) / lengths[:, None]
     first, second = np.triu_indices(len(segments), 1)
     sine = _cross(along[first], along[second])
-    first, second, sine = (each[np.abs(sine) > _SHARPEST] for each in (first, second, sine))
+    wide = np.abs(sine) > _SHARPEST
+    first, second, sine = first[wide], second[wide], sine[wide]
     apart = start[second] - start[first]
     on_first, on_second = _cross(apart, along[second]) / sine, _cross(apart, along[first]) / sine
     near = _is_near_end(on_first, lengths[first]) & _is_near_end(on_second, lengths[second])
     near[near] &= _longest(lengths[first[near]] + lengths[second[near]])
-    first, second, on_first, on_second = (each[near] for each in (first, second, on_first, on_second))
+    first, second, on_first, on_second = first[near], second[near], on_first[near], on_second[near]
     at: Points = start[first] + on_first[:, None] * along[first]
     sides = np.stack(
         (
