@@ -71,8 +71,8 @@ def quadrilaterals(channels: Sequence[Image], most: int = 600) -> Floats:
     corners = _from_corners(*_corners(_joined(np.concatenate([_segments(each) for each in images]))), images[0].shape)
     if not len(corners):
         return np.zeros((0, 4, 2))
-    share: Floats = np.max([_edge_share(each, corners) for each in images], axis=0)
-    kept: Floats = corners[np.argsort(-share, kind="stable")[:most]]
+    shares: Floats = np.max([_edge_share(each, corners) for each in images], axis=0)
+    kept: Floats = corners[np.argsort(-shares, kind="stable")[:most]]
     return kept
 
 
