@@ -125,8 +125,9 @@ class Localizer:
                 results |= self._detect(context, memory, missing, results.values())
             results = self._rivals.settled(context, results, is_due)
             features = context.features if with_keypoints else context.computed_features
-            results, turned = told_apart(results, self._planes, self._places, frame.camera)
-            memory.forget(turned)
+            if self._places:
+                results, turned = told_apart(results, self._planes, self._places, frame.camera)
+                memory.forget(turned)
             results = {name: results.get(name) or _lost(each, is_due) for name, each in self._references.items()}
             self._remember(memory, results, time_ns)
             memory.frames_without_search = 0 if is_due or not missing else memory.frames_without_search + 1

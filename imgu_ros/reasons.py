@@ -40,7 +40,7 @@ def why_not_found(error: EstimationError, matches: int, agreeing: int, needed: i
         return f"too little of it is in view or uncovered to tell its pose ({error})"
     if isinstance(error, DegenerateConfiguration):
         return f"seen too steeply, too small or mirrored ({error})"
-    if isinstance(error, TooFewPoints) and matches < needed:
+    if isinstance(error, TooFewPoints | NoConsensus) and matches < needed:
         return f"{NOT_IN_VIEW} ({matches} matches, {needed} needed)"
     if isinstance(error, NoConsensus) and agreeing < needed:
         return f"{NOT_IN_VIEW} ({agreeing} of {matches} matches agree, {needed} needed)"

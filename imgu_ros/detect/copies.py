@@ -64,7 +64,7 @@ def best_copy(
         return located, found
     own = evidence(frame, reference, located.homography.H, camera, is_close=True)
     best = _CopyPlace(located, located.homography.H, own or found)
-    motions = _motions(copy for copy in copies if not copy.is_symmetry)
+    motions = _motions(copies)
     rivals: list[_CopyPlace] = []
     for _ in range(_MOST_MOVES):
         rivals = [
@@ -106,10 +106,15 @@ def still_alike(
     frame, reference, camera : see `best_copy`
     located : where the track led
     """
-    H = located.homography.H if located.H_seen is None else located.H_seen
-    own = evidence(frame, reference, H, camera, is_close=True)
-    others = ((S, evidence(frame, reference, H @ S, camera, is_close=True)) for S in located.alike)
-    return tuple(S for S, there in others if better_of(own, there) != 0)
+    # `best_copy` puts them first.
+    certain = sum(copy.is_symmetry for copy in reference.copies(frame.is_linear))
+    alike, doubtful = located.alike[:certain], located.alike[certain:]
+    if doubtful:
+        H = located.homography.H if located.H_seen is None else located.H_seen
+        own = evidence(frame, reference, H, camera, is_close=True)
+        others = ((S, evidence(frame, reference, H @ S, camera, is_close=True)) for S in doubtful)
+        alike += tuple(S for S, there in others if better_of(own, there) != 0)
+    return alike
 
 
 def require_no_better_copy(frame: FrameImage, reference: Reference, located: Located, camera: Camera | None) -> None:
@@ -122,20 +127,20 @@ def require_no_better_copy(frame: FrameImage, reference: Reference, located: Loc
     frame, reference, camera : see `best_copy`
     located : where the track led
     """
-    copies = reference.copies(frame.is_linear)
-    if not copies:
+    motions = _motions(reference.copies(frame.is_linear))
+    if not motions:
         return
     H = located.homography.H if located.H_seen is None else located.H_seen
     own = evidence(frame, reference, H, camera, is_close=True)
-    for motion, _ in _motions(copies):
+    for motion, _ in motions:
         there = evidence(frame, reference, H @ motion, camera, is_close=True)
         if there is not None and there.is_confirming and better_of(own, there) == 1:
             raise LooksAlike("the target looks the same at another place, which fits better")
 
 
 def _motions(copies: Iterable[Copy]) -> list[tuple[Matrix3, Copy]]:
-    """Return the motions to where a target looks like itself, and back by a period."""
-    copies = tuple(copies)
+    """Return the motions to where a target looks like itself and a frame may tell them apart, and back by a period."""
+    copies = [copy for copy in copies if not copy.is_symmetry]
     back = [(inverse3(copy.H), copy) for copy in copies if not copy.turn_deg]
     return [(copy.H, copy) for copy in copies] + back
 

@@ -13,7 +13,7 @@ from imgu_ros.detect.frame_context import FrameContext
 from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reference.reference import Reference
 from imgu_ros.types import Floats, Image, Matrix3, Points
-from imgu_ros.vision.processing.quadrilaterals import quadrilaterals
+from imgu_ros.vision.processing.quadrilaterals import find_quadrilaterals
 
 #: Side of the images that are compared, px.
 _SIDE_PX = 64
@@ -58,7 +58,7 @@ class OutlineSearch:
             halvings += 1
         if halvings > image.most_halvings:
             return {}
-        found = quadrilaterals(_channels(context.image.color(), halvings))
+        found = find_quadrilaterals(_channels(context.image.color(), halvings))
         if not len(found):
             return {}
         corners = (found + 0.5) * 2**halvings - 0.5

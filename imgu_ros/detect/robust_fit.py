@@ -159,6 +159,9 @@ class RobustFit:
             if np.count_nonzero(agreed.inliers) < p.homography.min_inliers:
                 _require_much(found)
         except EstimationError as error:
+            if 0 < result.most_inliers < p.homography.min_inliers and not isinstance(error, LooksAlike):
+                # So few agree by chance, and then all kinds of things are wrong.
+                error = NoConsensus("matches: too few agree", result.most_inliers)
             return _missing(result, error, len(matches.template_xy), p)
         share = None if found is None else found.share
         detected = replace(result, status=Status.DETECTED, matches=matches, confirmed_share=share, most_inliers=0)

@@ -33,6 +33,7 @@ from imgu_ros.reference.self_similarity import copies_of
 from imgu_ros.reference.templates import (
     LightTemplates,
     TargetImage,
+    TemplateOctave,
     TemplatePyramids,
     Templates,
     grey_template,
@@ -129,7 +130,7 @@ def planar_reference(
     extractor = cache.make(make_extractor, first.extractor)
     pyramids = cache.make(TemplatePyramids, image, weights, p.pyramid.kernel)
     templates = cache.make(Templates, pyramids, p.refinement.max_points)
-    symmetry = cache.make(_Symmetry, templates)
+    symmetry = cache.make(_Symmetry, pyramids)
     return cache.make(
         PlanarReference,
         number,
@@ -146,12 +147,13 @@ def planar_reference(
 class _Symmetry:
     """How often a target looks the same while it is turned once; computed when it is first asked for."""
 
-    def __init__(self, templates: Templates) -> None:
-        self._templates = templates
+    def __init__(self, pyramids: TemplatePyramids) -> None:
+        self._pyramids = pyramids
 
     @cached_property
     def order(self) -> int:
-        octaves = next(iter(self._templates.values()), None) or self._templates[True]
+        levels = next(iter(self._pyramids.values()), None) or self._pyramids[True]
+        octaves = [TemplateOctave(level, 0) for level in levels]
         return 1 + sum(copy.is_symmetry for copy in copies_of(octaves))
 
 

@@ -34,9 +34,13 @@ _REFINED_SIDE_PX, _STEPS, _MOST_REFINED = 192, 30, 0.06
 #: A turn about the target's centre: a part of a whole one within this angle, degrees, its centre within this share of
 #: the longer side. Such a copy, of at least this similarity, may be a symmetry of the drawing.
 _SNAP_DEG, _SNAP_SHARE, _SYMMETRIC = 0.5, 0.01, 0.9
-#: Largest difference of a cell of the target from that of a symmetry, as a share of the target's contrast: of drawings,
-#: edges between pixels differ by less; a mark that breaks the symmetry differs by more.
-_SYMMETRY_RESIDUAL = 0.35
+#: Largest difference of a cell of the target from that of a symmetry, as a share of the target's contrast, when both
+#: are smoothed by so many px of the finer image: edges that are drawn half a px elsewhere differ by less, a mark that
+#: breaks the symmetry by more.
+_SYMMETRY_RESIDUAL, _SMOOTHED_PX = 0.35, 1.2
+#: The contrast of a part is that of so many px of the first image about it (standard deviation of a Gaussian); this
+#: share of the whole one's variance counts as none.
+_SURROUNDINGS_PX, _FAINT = 6.0, 0.05
 #: Variance of a cell with enough contrast to tell.
 _TEXTURED = 36.0
 #: Correlation of cells that are alike.
@@ -77,15 +81,16 @@ def copies_of(octaves: Sequence[TemplateOctave]) -> tuple[Copy, ...]:
     height, width = image.shape
     side = max(height, width)
     # A plain ground about it has room for shifts by half the longer side.
-    ground, room = float(np.median(image)), side // 2
-    canvas = cv2.copyMakeBorder(image, room, room, room, room, cv2.BORDER_CONSTANT, value=ground)
+    even, room = _even(image), side // 2
+    ground = float(np.median(even))
+    canvas = cv2.copyMakeBorder(even, room, room, room, room, cv2.BORDER_CONSTANT, value=ground)
     found: list[tuple[float, float, Matrix3]] = []
     reach = max(2, round(_LEAST_SHIFT * side))
     for turn in np.arange(0.0, 360.0, _STEP_DEG).tolist():
         if 0 < min(turn, 360 - turn) < _LEAST_TURN_DEG:
             continue
         M = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), turn, 1.0)
-        turned = cv2.warpAffine(image, M, (width, height), borderMode=cv2.BORDER_CONSTANT, borderValue=ground)
+        turned = cv2.warpAffine(even, M, (width, height), borderMode=cv2.BORDER_CONSTANT, borderValue=ground)
         similarity = cv2.matchTemplate(canvas, turned, cv2.TM_CCOEFF_NORMED)
         if turn == 0:
             _clear(similarity, room, room, reach)
@@ -107,6 +112,14 @@ def copies_of(octaves: Sequence[TemplateOctave]) -> tuple[Copy, ...]:
     size = octaves[0].level.image.shape[1] * octaves[0].scale, octaves[0].level.image.shape[0] * octaves[0].scale
     copies = [_symmetry(octaves, each, *size) for each in copies]
     return tuple(sorted(copies, key=lambda each: each.differing_share)[:_MOST])
+
+
+def _even(image: Image) -> Image:
+    """Return an image whose every part has about the same contrast: a mark must not outweigh all else."""
+    mean = cv2.GaussianBlur(image, (0, 0), _SURROUNDINGS_PX)
+    variance = cv2.GaussianBlur(image * image, (0, 0), _SURROUNDINGS_PX) - mean * mean
+    even: Image = (image - mean) / np.sqrt(np.maximum(variance, 0) + _FAINT * image.var() + 1e-6)
+    return even
 
 
 def _refined(octaves: Sequence[TemplateOctave], copy: Copy) -> Copy:
@@ -144,7 +157,7 @@ def _symmetry(octaves: Sequence[TemplateOctave], copy: Copy, width: float, heigh
     M = cv2.getRotationMatrix2D(tuple(centre[:2]), exact, 1.0)
     H = np.vstack((M, (0.0, 0.0, 1.0)))
     octave = _fine(octaves)
-    image = octave.level.image.astype(np.float32)
+    image = np.asarray(cv2.GaussianBlur(octave.level.image.astype(np.float32), (0, 0), _SMOOTHED_PX))
     S = octave.scaling.reduced_from_full @ H @ octave.scaling.full_from_reduced
     size = image.shape[1], image.shape[0]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP

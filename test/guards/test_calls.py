@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(266, 23, 108, {5: 2125, 4: 2125}),
-    "empty": Limit(4830, 50, 2260, {5: 32300, 4: 34000}),
+    "tracked": Limit(266, 23, 108, {5: 2126, 4: 2126}),
+    "empty": Limit(4950, 53, 2300, {5: 36800, 4: 38600}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from imgu_ros.config.components import DevelopmentParameters
 from imgu_ros.config.parameters import Parameters
@@ -18,6 +19,7 @@ from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.self_similarity import Copy
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import prepare_references
+from imgu_ros.result import PoseStatus
 from imgu_ros.simulate.sequence import Simulation, simulate_sequence
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import corner_error
@@ -65,20 +67,121 @@ def test_a_picture_without_order_has_no_copies() -> None:
     assert copies(procedural_texture(640, 480, 7)) == ()
 
 
-@pytest.mark.parametrize("mark", [True, False])
-def test_a_copy_is_never_taken_for_the_target(mark: bool) -> None:
-    parameters = parameters_from({"tracking.enabled": False})
-    pixels = turned_into_itself(mark)
+def test_a_symmetry_is_exact_and_a_mark_ends_it() -> None:
+    (half,) = copies(turned_into_itself(mark=False))
+    assert half.is_symmetry
+    # As the picture is stored: its corners are each other's.
+    assert pytest.approx((SIDE - 1, SIDE - 1, 1)) == half.H @ (0, 0, 1)
+    assert not any(copy.is_symmetry for copy in copies(turned_into_itself(mark=True)))
+    assert not any(copy.is_symmetry for copy in copies(pad()))
+    assert sorted(copy.turn_deg for copy in copies(star(3)) if copy.is_symmetry) == [120.0, 240.0]
+
+
+def rosette(order: int) -> np.ndarray:
+    """A sector of a texture about a centre, as often as the order, in a circle: corners would tell how it is turned."""
+    y, x = np.mgrid[0:SIDE, 0:SIDE] - (SIDE - 1) / 2
+    angle, radius = np.arctan2(y, x) % (2 * np.pi / order), np.hypot(x, y)
+    at = [(radius * each + SIDE / 2).astype(np.float32) for each in (np.cos(angle), np.sin(angle))]
+    texture = cv2.GaussianBlur(procedural_texture(SIDE + 200, SIDE + 200, 3), (0, 0), 1.0)
+    image = cv2.remap(texture, at[0], at[1], cv2.INTER_LINEAR)
+    image[radius > SIDE / 2 - 4] = 230
+    return image
+
+
+def star(order: int) -> np.ndarray:
+    """Blades about a centre, as many as the order, that no mirror maps to each other."""
+    image = np.full((SIDE, SIDE), 240, np.uint8)
+    blade = np.array([[0, -20], [232, -10], [200, 60], [150, 20], [90, 90], [10, 20]], float)
+    for k in range(order):
+        c, s = np.cos(2 * np.pi * k / order), np.sin(2 * np.pi * k / order)
+        at = blade @ np.array([[c, s], [-s, c]]) + (SIDE - 1) / 2
+        cv2.fillPoly(image, [np.rint(at * 16).astype(np.int32)], 20, cv2.LINE_AA, 4)
+    return image
+
+
+@pytest.mark.parametrize("tracking", [False, True])
+@pytest.mark.parametrize(
+    ("pixels", "turns"), [(turned_into_itself(False), (180,)), (rosette(3), (120, 240)), (rosette(4), (90, 180, 270))]
+)
+def test_a_symmetric_target_has_a_pose_for_each_turn(pixels: np.ndarray, turns: tuple, tracking: bool) -> None:
+    parameters = parameters_from({"tracking.enabled": tracking})
     target = TargetImage("picture", pixels, 0.3)
+    localizer = Localizer(parameters, prepare_references([target], parameters))
+    squared = []
+    for simulated in simulate_sequence(Simulation(640, 480, frames=8, seed=2), [target]):
+        result, truth = localizer.process(simulated.frame).first, simulated.truths[0]
+        assert result.pose_status is PoseStatus.AMBIGUOUS and result.pose is None
+        assert "looks the same turned by " + " or ".join(map(str, turns)) in result.reason
+        assert result.homography is not None and result.ambiguity == 1.0
+        assert len(result.solutions) % (1 + len(turns)) == 0
+        errors = [
+            corner_error(result.homography.H @ S, truth.H, (SIDE, SIDE), (640, 480)) for S in (np.eye(3), *result.alike)
+        ]
+        assert min(errors) < 1.0 and sorted(errors)[1] > 50
+        away = [Rotation.from_matrix(truth.pose.R @ pose.R.T).as_rotvec() for pose in result.solutions]
+        best = int(np.argmin(np.linalg.norm(away, axis=1)))
+        pose = result.solutions[best]
+        error = np.concatenate((truth.pose.t - pose.t, away[best]))
+        squared.append(error @ np.linalg.solve(pose.covariance, error))
+    assert np.median(squared) < 12.6  # the 95 % point
+
+
+def test_what_was_hidden_tells_the_copies_of_a_track_apart() -> None:
+    """A mark that is covered at first; from the frame on that shows it the pose is one, and stays one."""
+    known, covered = turned_into_itself(mark=False), turned_into_itself(mark=True)
+    target = TargetImage("picture", covered, 0.3)
+    localizer = Localizer(Parameters(), prepare_references([target], Parameters()))
+    localizer.prepare()
+    seen = []
+    sequences = [
+        list(simulate_sequence(Simulation(640, 480, frames=12, seed=4), [TargetImage("picture", pixels, 0.3)]))
+        for pixels in (known, covered)
+    ]
+    for index in range(12):
+        result = localizer.process(sequences[index >= 4][index].frame).first
+        seen.append(result.pose_status)
+        if result.pose is not None:
+            error = corner_error(result.homography.H, sequences[1][index].truths[0].H, (SIDE, SIDE), (640, 480))
+            assert error < 1.0
+    assert PoseStatus.METRIC not in seen[:4]
+    assert seen[6:] == [PoseStatus.METRIC] * 6
+
+
+def test_a_neighbour_in_the_map_tells_how_a_symmetric_target_is_turned() -> None:
+    names = {"targets.images": ["a.png", "b.png"], "targets.widths_m": [0.3, 0.3]}
+    other = TargetImage("other", procedural_texture(SIDE, SIDE, 9), 0.3)
+    targets = [TargetImage("picture", turned_into_itself(mark=False), 0.3), other]
+    frames = list(simulate_sequence(Simulation(640, 480, frames=8, seed=3), targets))
+    first, second = (truth.pose for truth in frames[0].truths)
+    place = first.inverse().after(second).numbers()
+    poses = [0, 0, 0, 0, 0, 0, 1, *place.tolist()]
+    parameters = parameters_from({**names, "targets.poses": poses})
+    localizer = Localizer(parameters, prepare_references(targets, parameters))
+    found = 0
+    for simulated in frames:
+        results, truth = localizer.process(simulated.frame).references, simulated.truths[0]
+        result = results["picture"]
+        if results["other"].pose is None:
+            continue
+        assert result.pose_status is PoseStatus.METRIC, result.reason
+        assert result.homography is not None and result.pose is not None and result.outline is not None
+        assert corner_error(result.homography.H, truth.H, (SIDE, SIDE), (640, 480)) < 1.0
+        corner = truth.H @ (-0.5, -0.5, 1)
+        assert result.outline[0] == pytest.approx(corner[:2] / corner[2], abs=1.0)
+        turn = Rotation.from_matrix(truth.pose.R @ result.pose.R.T).magnitude()
+        assert turn < 0.05 and np.linalg.norm(truth.pose.t - result.pose.t) < 0.02
+        found += 1
+    assert found >= 6
+
+
+def test_a_mark_tells_how_the_target_is_turned() -> None:
+    parameters = parameters_from({"tracking.enabled": False})
+    target = TargetImage("picture", turned_into_itself(mark=True), 0.3)
     localizer = Localizer(parameters, prepare_references([target], parameters))
     for simulated in simulate_sequence(Simulation(640, 480, frames=6, seed=2), [target]):
         result = localizer.process(simulated.frame).first
-        if mark:
-            assert result.homography is not None, result.reason
-            assert corner_error(result.homography.H, simulated.truths[0].H, (SIDE, SIDE), (640, 480)) < 1.0
-        else:
-            assert result.homography is None
-            assert "the target looks the same turned by 180 degrees" in result.reason
+        assert result.homography is not None, result.reason
+        assert corner_error(result.homography.H, simulated.truths[0].H, (SIDE, SIDE), (640, 480)) < 1.0
 
 
 def pad() -> np.ndarray:
@@ -99,7 +202,7 @@ def test_a_copy_is_known_to_a_fraction_of_a_pixel() -> None:
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_where_what_tells_is_hidden_nothing_is_found(hidden: bool) -> None:
+def test_where_what_tells_is_hidden_there_is_no_pose(hidden: bool) -> None:
     parameters = parameters_from({"tracking.enabled": False})
     pixels = pad()
     localizer = Localizer(parameters, prepare_references([TargetImage("pad", pixels, 0.3)], parameters))
@@ -108,8 +211,9 @@ def test_where_what_tells_is_hidden_nothing_is_found(hidden: bool) -> None:
         cv2.ellipse(shown, (240, 400), (70, 50), 0, 0, 360, (60, 60, 150), -1, cv2.LINE_AA)
     for simulated in simulate_sequence(Simulation(640, 480, frames=6, seed=2), [TargetImage("pad", shown, 0.3)]):
         result = localizer.process(simulated.frame).first
+        assert (result.pose is None) == hidden
         if hidden:
-            assert result.homography is None
+            assert "turned" in result.reason and (result.homography is None or len(result.alike) == 1)
         else:
             assert result.homography is not None, result.reason
             assert corner_error(result.homography.H, simulated.truths[0].H, (SIDE, SIDE), (640, 480)) < 1.0

@@ -53,7 +53,7 @@ from imgu_ros.vision.camera.planar_pose import planar_pose_starts, planar_poses
 from imgu_ros.vision.camera.plane_view import plane_homography, pose_from_plane_homography
 from imgu_ros.vision.camera.pose import PlanarPoses, Pose
 from imgu_ros.vision.camera.pose_estimate import PoseEstimate, PoseModel, estimate_pose, fit_pose
-from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_seen_from
+from imgu_ros.vision.camera.pose_fusion import FusedPose, fuse_poses, pose_after, pose_seen_from
 from imgu_ros.vision.camera.pose_problem import PoseProblem, point_by_pose
 from imgu_ros.vision.camera.projection import (
     as_intrinsic_matrix,
@@ -140,6 +140,7 @@ __all__ = [
     "planar_poses",
     "plane_homography",
     "point_by_pose",
+    "pose_after",
     "pose_from_plane_homography",
     "pose_seen_from",
     "poses_about_point",

@@ -161,18 +161,11 @@ def pose_after(pose: Pose, src_from_new: RigidTransform) -> Pose:
     ShapeError
         If one of them is no rigid transform.
     """
-    require_type(pose, Pose, "pose")
     require_type(src_from_new, RigidTransform, "src_from_new")
-    t = as_matrix(src_from_new.t, (3,), "src_from_new.t")
-    first = RigidTransform(as_rotation(src_from_new.R, "src_from_new"), t)
-    R = as_rotation(pose.R, "pose")
-    moved = RigidTransform(R, as_matrix(pose.t, (3,), "pose.t")).after(first)
-    x, y, z = R @ first.t
-    J = np.eye(6)
-    J[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # to first order, a turn by d moves the origin by d x (R t)
-    covariance = J @ as_matrix(pose.covariance, (6, 6), "pose.covariance") @ J.T
-    shared = None if pose.shared is None else J @ pose.shared
-    return Pose(moved.R, moved.t, covariance, pose.rms_px, shared)
+    require_type(pose, Pose, "pose")
+    R = as_rotation(src_from_new.R, "src_from_new")
+    motion = RigidTransform(R, as_matrix(src_from_new.t, (3,), "src_from_new.t"))
+    return pose_seen_from(motion.inverse(), pose.inverse()).inverse()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

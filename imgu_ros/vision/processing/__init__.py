@@ -13,6 +13,7 @@ Everything here takes an image, `(H, W)` or `(H, W, 3)` in uint8, uint16 or floa
 | `separability` | rank-1 test, split of any kernel into rows and columns | to know why a kernel is fast or slow |
 | `derivatives` | Sobel, Scharr and Gaussian derivatives in grey values per pixel | slopes, edge directions |
 | `edges` | edge strength, its threshold, Canny | outlines |
+| `quadrilaterals` | outlines of flat things by their sides, corners hidden or not | a sheet, a label, a screen |
 | `interpolation` | values between pixels, resizing: nearest, linear, cubic, area | sub-pixel samples, scaling |
 | `warping` | projective, affine, similarity warps; rotation about a point, of the whole picture | another view |
 | `remapping` | warps by any map, given point by point | through a lens |
@@ -39,6 +40,7 @@ from imgu_ros.vision.processing.edges import canny, edge_map, edge_strength
 from imgu_ros.vision.processing.histograms import equalised, equalised_locally, histogram
 from imgu_ros.vision.processing.interpolation import Interpolation, checked_size, resized, sampled
 from imgu_ros.vision.processing.points import adjust, full_scale, gamma_corrected, grey_from_rgb, require_range
+from imgu_ros.vision.processing.quadrilaterals import find_quadrilaterals
 from imgu_ros.vision.processing.remapping import remapped
 from imgu_ros.vision.processing.separability import SplitKernel, as_kernel, is_separable, split
 from imgu_ros.vision.processing.thresholding import otsu_threshold, thresholded
@@ -62,6 +64,7 @@ __all__ = [
     "edge_strength",
     "equalised",
     "equalised_locally",
+    "find_quadrilaterals",
     "full_scale",
     "gamma_corrected",
     "gradient",

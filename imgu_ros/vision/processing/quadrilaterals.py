@@ -34,7 +34,7 @@ _EDGE_LOW, _EDGE_HIGH, _NEAR_PX = 20, 60, 1
 _PLACES = 16
 
 
-def quadrilaterals(channels: Sequence[Image], most: int = 600) -> Floats:
+def find_quadrilaterals(channels: Sequence[Image], most: int = 600) -> Floats:
     """Return quadrilaterals whose sides are edges of an image, those with the most edges first.
 
     Two opposite corners and the directions of the sides that meet there are enough: the others may be hidden or outside
@@ -71,7 +71,7 @@ def quadrilaterals(channels: Sequence[Image], most: int = 600) -> Floats:
     corners = _from_corners(*_corners(_joined(np.concatenate([_segments(each) for each in images]))), images[0].shape)
     if not len(corners):
         return np.zeros((0, 4, 2))
-    shares: Floats = np.max([_edge_share(each, corners) for each in images], axis=0)
+    shares = np.stack([_edge_share(each, corners) for each in images]).max(axis=0)
     kept: Floats = corners[np.argsort(-shares, kind="stable")[:most]]
     return kept
 

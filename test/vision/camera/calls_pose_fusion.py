@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.pose_fusion import fuse_poses, pose_seen_from
+from imgu_ros.vision.camera.pose_fusion import fuse_poses, pose_after, pose_seen_from
 from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.camera.rotation import exp_so3
 
@@ -37,6 +37,7 @@ def parts(rng: Generator) -> dict[str, Any]:
 CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     fuse_poses: lambda rng: {"poses": [pose(rng), pose(rng)], "slack": [np.eye(6), np.eye(6)]},
     pose_seen_from: lambda rng: {"new_from_dst": RigidTransform(exp_so3([0.1, 0, 0]), np.ones(3)), "pose": pose(rng)},
+    pose_after: lambda rng: {"pose": pose(rng), "src_from_new": RigidTransform(exp_so3([0.1, 0, 0]), np.ones(3))},
     fused: parts,
     seen: parts,
 }

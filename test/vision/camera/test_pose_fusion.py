@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from imgu_ros.errors import DegenerateConfiguration, ShapeError, TooFewPoints
 from imgu_ros.vision.camera.pose import Pose
-from imgu_ros.vision.camera.pose_fusion import fuse_poses, pose_seen_from
+from imgu_ros.vision.camera.pose_fusion import fuse_poses, pose_after, pose_seen_from
 from imgu_ros.vision.camera.rigid import RigidTransform
 
 
@@ -135,6 +135,20 @@ def test_a_pose_in_another_world_by_monte_carlo() -> None:
     turned = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(pose.R)
     true_turn = Rotation.from_matrix(world.R) * turned * Rotation.from_matrix(moved.R).inv()
     sampled = np.cov(np.column_stack((errors[:, :3] @ world.R.T, true_turn.as_rotvec())).T)
+    scale = np.sqrt(np.outer(np.diag(sampled), np.diag(sampled)))
+    assert np.abs((moved.covariance - sampled) / scale).max() < 0.03
+
+
+def test_a_pose_of_a_moved_source_by_monte_carlo() -> None:
+    _, (pose,) = estimates(3, count=1)
+    motion = RigidTransform(Rotation.random(random_state=4).as_matrix(), np.array([3.0, -2.0, 1.0]))
+    moved = pose_after(pose, motion)
+    np.testing.assert_allclose(moved.transform.matrix, pose.transform.matrix @ motion.matrix, atol=1e-12)
+    errors = np.random.default_rng(0).multivariate_normal(np.zeros(6), pose.covariance, 20_000)
+    true_R = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(pose.R)
+    true_t = pose.t + errors[:, :3] + true_R.apply(motion.t)
+    true_turn = true_R * Rotation.from_matrix(motion.R) * Rotation.from_matrix(moved.R).inv()
+    sampled = np.cov(np.column_stack((true_t - moved.t, true_turn.as_rotvec())).T)
     scale = np.sqrt(np.outer(np.diag(sampled), np.diag(sampled)))
     assert np.abs((moved.covariance - sampled) / scale).max() < 0.03
 

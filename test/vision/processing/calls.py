@@ -15,6 +15,7 @@ from imgu_ros.vision.processing import (
     histograms,
     interpolation,
     points,
+    quadrilaterals,
     remapping,
     separability,
     thresholding,
@@ -76,6 +77,9 @@ CALLS: dict[Callable, Callable[[np.random.Generator], dict[str, object]]] = {
     edges.edge_strength: lambda rng: {"image": _real(rng), "operator": "scharr", "sigma": 1.0},
     edges.edge_map: lambda rng: {"image": _real(rng), "threshold": 0.1},
     edges.canny: lambda rng: {"image": _real(rng), "low": 0.05, "high": 0.1, "sigma": 1.0},
+    quadrilaterals.find_quadrilaterals: lambda rng: {
+        "channels": tuple(rng.integers(0, 256, (40, 50)).astype(np.uint8) for _ in range(2)), "most": 7,
+    },
     interpolation.resized: lambda rng: {"image": _real(rng), "size": (5, 12), "interpolation": "cubic"},
     interpolation.checked_size: lambda rng: {"size": (3, 4)},
     interpolation.sampled: lambda rng: {
