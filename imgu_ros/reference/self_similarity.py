@@ -33,7 +33,7 @@ _MOST_DIFFERING = 0.6
 _REFINED_SIDE_PX, _STEPS, _MOST_REFINED = 192, 30, 0.06
 #: A turn about the target's centre: a part of a whole one within this angle, degrees, its centre within this share of
 #: the longer side. Such a copy, of at least this similarity, may be a symmetry of the drawing.
-_SNAP_DEG, _SNAP_SHARE, _SYMMETRIC = 0.5, 0.01, 0.9
+_SNAP_DEG, _SNAP_SHARE, _SYMMETRIC = 0.5, 0.01, 0.7
 #: Largest difference of a cell of the target from that of a symmetry, as a share of the target's contrast, when both
 #: are smoothed by so many px of the finer image: edges that are drawn half a px elsewhere differ by less, a mark that
 #: breaks the symmetry by more.
@@ -160,8 +160,10 @@ def _symmetry(octaves: Sequence[TemplateOctave], copy: Copy, width: float, heigh
     image = np.asarray(cv2.GaussianBlur(octave.level.image.astype(np.float32), (0, 0), _SMOOTHED_PX))
     S = octave.scaling.reduced_from_full @ H @ octave.scaling.full_from_reduced
     size = image.shape[1], image.shape[0]
+    # Beyond its border it goes on as most of the border does.
+    ground = float(np.median(np.concatenate((image[0], image[-1], image[:, 0], image[:, -1]))))
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpPerspective(image, S, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.warpPerspective(image, S, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=ground)
     rows, columns = (side // CELL * CELL for side in image.shape)
     away = cell_means((moved - image)[:rows, :columns] ** 2)
     if math.sqrt(float(away.max())) > _SYMMETRY_RESIDUAL * float(image.std()):
