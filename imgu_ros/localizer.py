@@ -17,7 +17,7 @@ from imgu_ros.detect.rivals import Rivals
 from imgu_ros.errors import EstimationError, ImguError, ParameterError
 from imgu_ros.frame import Frame
 from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
-from imgu_ros.pose.map_pose import MapPlace, told_apart
+from imgu_ros.pose.map_pose import told_apart
 from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.features import extractor_options
@@ -166,9 +166,7 @@ class Localizer:
         targets = self._parameters.targets
         poses = rigid_transforms(targets.poses, "targets.poses")
         # A reference has the place of its number in the lists.
-        self._places = {
-            each.name: MapPlace(poses[each.number], each.width_m) for each in references if each.number < len(poses)
-        }
+        self._places = {each.name: poses[each.number] for each in references if each.number < len(poses)}
         self._detectors = make_detectors(self.references, self._parameters, self._cache)
         self._rivals = Rivals(self.references, DetectionParameters.of(self._parameters))
         self._cameras.keep(self._references.keys())

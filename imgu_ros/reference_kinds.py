@@ -18,7 +18,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import Detector, ReferenceDetector
 from imgu_ros.detect.markers import MarkerDetector
 from imgu_ros.errors import ParameterError
-from imgu_ros.reference.marker import MarkerReference, marker_reference
+from imgu_ros.reference.marker import BoardImage, MarkerImage, marker_reference
 from imgu_ros.reference.planar import PlanarReference, planar_reference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
@@ -42,7 +42,8 @@ class ReferenceKind:
 
 KINDS: dict[str, ReferenceKind] = {
     PlanarReference.kind: ReferenceKind(ReferenceParameters, planar_reference, ReferenceDetector),
-    MarkerReference.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
+    MarkerImage.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
+    BoardImage.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
 }
 
 

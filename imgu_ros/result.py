@@ -154,6 +154,7 @@ class ReferenceResult:
     is_sharp : whether its points were seen at full resolution: what blurred ones say of the calibration is not counted
     confirmed_share : share of the target in view that looks as it should where it was found, or was thought to be, 0 to
         1: of its cells with texture that can tell, those that look alike; None: not compared
+    width_m : of the target, by which the pose has its size; 0: there is no pose
     most_inliers : of a target that was looked for and not found, the most matches that agreed on where it could be
     """
 
@@ -169,6 +170,7 @@ class ReferenceResult:
     solutions: tuple[Pose, ...] = ()
     ambiguity: float | None = None
     confirmed_share: float | None = None
+    width_m: float = 0.0
     most_inliers: int = 0
     calibration: CalibrationTest | None = None
     is_sharp: bool = True

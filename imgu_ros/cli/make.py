@@ -89,13 +89,12 @@ def _job(image: TargetImage, entry: str) -> PrintJob:
     from imgu_ros.reference.marker import MarkerImage
     from imgu_ros.reference.marker_code import MARGIN
     from imgu_ros.shown_text import shown
-    from imgu_ros.vision.markers import marker_cells
 
     width_mm, white = 1000 * image.width_m, None
     height_mm = width_mm * image.pixels.shape[0] / image.pixels.shape[1]
     size = f"{width_mm:.4g} x {height_mm:.4g} mm"
     if isinstance(image, MarkerImage):
-        cells = marker_cells(image.family, image.number)
+        cells = image.layout.markers[0].cells
         white = np.pad(cells, MARGIN, constant_values=True)
         size += ", outer edge to outer edge of the black square; leave the white about it"
         width_mm = height_mm = width_mm * len(white) / len(cells)

@@ -91,19 +91,20 @@ def parameter(
 
 @dataclass(frozen=True, slots=True)
 class TargetsParameters:
-    """Planar targets, their sizes and places."""
+    """Targets, their sizes and places."""
 
     images: tuple[str, ...] = parameter(
         (),
-        "The planar targets, such as `[poster.png, tag36h11:7]`: image files (`~` and `$VARIABLES` are expanded; "
-        "relative to the working directory) and fiducial markers by family and id: `tag16h5`, `tag25h9`, `tag36h10`, "
-        "`tag36h11`, `aruco_4x4_50` ... `aruco_7x7_1000`, `aruco_original`, `aruco_mip_36h12`.",
+        "The targets, such as `[poster.png, tag36h11:7, board.yaml]`: image files (`~` and `$VARIABLES` are expanded; "
+        "relative to the working directory), fiducial markers by family and id (`tag16h5`, `tag25h9`, `tag36h10`, "
+        "`tag36h11`, `aruco_4x4_50` ... `aruco_7x7_1000`, `aruco_original`, `aruco_mip_36h12`), and board files, which "
+        "say where several markers are on one thing.",
         basic=1,
     )
     widths_m: tuple[float, ...] = parameter(
         (),
         "Printed width of each target between its outer edges, of a marker those of its black square, such as "
-        "`[0.594]`; 0 or missing: unknown, and no metric pose.",
+        "`[0.594]`; 0 or missing: unknown, and no metric pose; of a board: as its file says, another width scales it.",
         unit="m",
         bounds=(0.0, 1e4),
         basic=2,

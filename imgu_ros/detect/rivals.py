@@ -168,8 +168,8 @@ class Rivals:
 
     def _one_design(self, first: str, second: str) -> Matrix3 | None:
         """Return H_first_second where two references share a part at the same place of their outlines; else None."""
-        if self._references[first].marker_code or self._references[second].marker_code:
-            return None  # a code tells them apart
+        if self._references[first].codes or self._references[second].codes:
+            return None  # codes tell them apart
         (width, height), (other_width, other_height) = (self._references[name].size for name in (first, second))
         shape = width / height / (other_width / other_height)
         if first == second or not 1 / _SAME_SHAPE < shape < _SAME_SHAPE:

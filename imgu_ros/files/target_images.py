@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load the known targets that the parameters name: pictures, and fiducial markers."""
+"""Load the known targets that the parameters name: pictures, fiducial markers, and boards of these."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import re
 import unicodedata
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +16,9 @@ import numpy as np
 
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters, TargetsParameters
 from imgu_ros.errors import FileError, ParameterError, ShapeError
+from imgu_ros.files.board_file import BOARD_SUFFIXES, read_board
 from imgu_ros.image_files.images import read_image_file
-from imgu_ros.reference.marker import marker_image
+from imgu_ros.reference.marker import MarkerImage, board_image, marker_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
@@ -45,7 +46,7 @@ def load_target_images(
     limits: LimitsParameters = DEFAULT_LIMITS,
 ) -> tuple[TargetImage, ...]:
     """Return the targets: pictures, upright, as their orientation tags say, and on white where they are transparent;
-    and markers, of entries like `tag36h11:7`.
+    markers, of entries like `tag36h11:7`; and boards, of files like `board.yaml`.
 
     Parameters
     ----------
@@ -61,20 +62,48 @@ def load_target_images(
     Raises
     ------
     FileError
-        If a file is missing, no image, too small, or blank.
+        If a file is missing, no image, too small, or blank, or no board file.
     ParameterError
-        If a name is no ROS name, two targets have the same, or there is no such marker.
+        If a name is no ROS name, two targets have the same, or the same marker, or there is no such marker.
     """
     entries = [_marker_of(text) or _path_of(text) for text in targets.images]
     names = [_checked_name(name) for name in targets.names] or [_default_name(entry) for entry in entries]
     _refuse_collisions(names, entries)
     widths = targets.widths_m or (0.0,) * len(entries)
-    return tuple(
-        marker_image(name, entry.family, entry.number, float(width))
-        if isinstance(entry, _Marker)
-        else TargetImage(name, _target_pixels(entry, on_warning, limits), float(width))
+    images = tuple(
+        _image_of(entry, name, float(width), on_warning, limits)
         for name, entry, width in zip(names, entries, widths, strict=True)
     )
+    _refuse_shared_markers(images, entries)
+    return images
+
+
+def _image_of(
+    entry: _Marker | Path, name: str, width_m: float, on_warning: Callable[[str], None], limits: LimitsParameters
+) -> TargetImage:
+    if isinstance(entry, _Marker):
+        return marker_image(name, entry.family, entry.number, width_m)
+    if entry.suffix.lower() in BOARD_SUFFIXES:
+        return board_image(name, read_board(entry, limits), width_m)
+    return TargetImage(name, _target_pixels(entry, on_warning, limits), width_m)
+
+
+def _refuse_shared_markers(images: Sequence[TargetImage], entries: Sequence[_Marker | Path]) -> None:
+    """Raise where a marker belongs to two targets: which one is seen could not be told."""
+    owners: dict[str, tuple[TargetImage, _Marker | Path]] = {}
+    for image, entry in zip(images, entries, strict=True):
+        for marker in image.layout.markers if isinstance(image, MarkerImage) else ():
+            if str(marker) in owners:
+                other, whose = owners[str(marker)]
+                raise ParameterError(
+                    f"targets.images: {marker} belongs to both {_words(other, whose)} and {_words(image, entry)}; need "
+                    "each marker in one target"
+                )
+            owners[str(marker)] = image, entry
+
+
+def _words(image: TargetImage, entry: _Marker | Path) -> str:
+    return f"target {image.name}" if isinstance(entry, _Marker) else f"board {entry}"
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,12 @@ from imgu_ros.config.components import OutputParameters
 from imgu_ros.errors import EstimationError
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header
-from imgu_ros.pose.map_pose import MapPlace, camera_in_map
+from imgu_ros.pose.map_pose import camera_in_map
 from imgu_ros.result import ReferenceResult, Result
 from imgu_ros.types import Image
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.pose_fusion import FusedPose
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 class Scope(Enum):
@@ -74,7 +75,7 @@ class ConvertedFrame:
     make : makes messages
     result : of the frame
     parameters : those of the outputs
-    places : of the targets in the map, by name; empty without a map
+    places : of the targets, `map_from_target`, by name; empty without a map
     draw : draws a result over its image
 
     Attributes
@@ -89,7 +90,7 @@ class ConvertedFrame:
         make: MessageFactory,
         result: Result,
         parameters: OutputParameters,
-        places: Mapping[str, MapPlace],
+        places: Mapping[str, RigidTransform],
         draw: Callable[[Result], Image],
     ) -> None:
         self.make, self.result, self.parameters = make, result, parameters

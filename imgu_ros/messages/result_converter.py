@@ -63,7 +63,7 @@ class ResultConverter:
             As at construction; then nothing changes.
         """
         poses = rigid_transforms(parameters.targets.poses, "targets.poses")
-        self._places = map_places(target_names, poses, parameters.targets.widths_m)
+        self._places = map_places(target_names, poses)
         self._names, self._parameters = tuple(target_names), parameters
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,20 +26,12 @@ from imgu_ros.vision.projective.transform import inverse3
 _NEAR_RAD, _CLEARLY = math.radians(10), 4.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MapPlace:
-    """Where a reference is in the map, and its printed width, m."""
-
-    map_from_reference: RigidTransform
-    width_m: float
+def map_places(names: Iterable[str], poses: Sequence[RigidTransform]) -> dict[str, RigidTransform]:
+    """Return the places of references in the map, `map_from_reference`, by their names; of those that have a pose."""
+    return dict(zip(names, poses, strict=False))
 
 
-def map_places(names: Iterable[str], poses: Sequence[RigidTransform], widths_m: Sequence[float]) -> dict[str, MapPlace]:
-    """Return the places of references by their names; of those that have both a pose and a width."""
-    return {name: MapPlace(pose, width) for name, pose, width in zip(names, poses, widths_m, strict=False)}
-
-
-def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, MapPlace]) -> FusedPose | None:
+def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, RigidTransform]) -> FusedPose | None:
     """Return `map_from_camera`, fused over the references by their covariances; None when none has a pose.
 
     The error of each reference's pose is its own (other pixels, other noise). Their places are taken as exact as long
@@ -49,7 +41,7 @@ def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, MapPl
     Parameters
     ----------
     results : of a frame
-    places : of the references, by name
+    places : of the references, `map_from_reference`, by name
 
     Raises
     ------
@@ -60,16 +52,16 @@ def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, MapPl
     for found in results:
         if found.pose is not None and found.name in places:
             place = places[found.name]
-            pose = pose_seen_from(place.map_from_reference, found.pose.inverse())
+            pose = pose_seen_from(place, found.pose.inverse())
             poses.append(pose)
-            slack.append(_misplacement(place.map_from_reference.t - pose.t, place.width_m))
+            slack.append(_misplacement(place.t - pose.t, found.width_m))
     return fuse_poses(poses, slack) if poses else None
 
 
 def told_apart(
     results: Mapping[str, ReferenceResult],
     planes: Mapping[str, Plane],
-    places: Mapping[str, MapPlace],
+    places: Mapping[str, RigidTransform],
     camera: Camera | None,
 ) -> tuple[dict[str, ReferenceResult], set[str]]:
     """Return results of which ambiguous poses are settled by targets that are not, and the names of those turned.
@@ -95,7 +87,7 @@ def told_apart(
     if fused is None:
         return settled, turned
     for found in ambiguous:
-        expected = fused.pose.transform.inverse().after(places[found.name].map_from_reference)
+        expected = fused.pose.transform.inverse().after(places[found.name])
         away = [float(np.linalg.norm(log_so3(pose.R @ expected.R.T))) for pose in found.solutions]
         order = np.argsort(away)
         best = int(order[0])

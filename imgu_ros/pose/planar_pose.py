@@ -152,6 +152,7 @@ def planar_pose(
         pose=None if is_ambiguous else poses.solutions[0],
         solutions=solutions,
         ambiguity=ambiguity,
+        width_m=plane.width_m,
         calibration=None if is_ambiguous else poses.calibration,
     )
 

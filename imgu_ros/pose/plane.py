@@ -17,26 +17,33 @@ class Plane:
     ----------
     width, height : of the template, px
     width_m : printed width, outer edge to outer edge; 0: unknown
-    margin : width of the paper about the outer edges that the template shows, px
+    outer : left, top, right and bottom of the outer edges, template px; None: those of the template
+    origin : of the metric frame, template px; None: the middle of the outer edges
 
     Attributes
     ----------
     size : width and height
     outline : (4, 2) template px, the outer corners: top left, top right, bottom right, bottom left
     outline_homogeneous : (3, 4), the same in homogeneous coordinates, one a column
-    metres_from_template : (3, 3) affine; the metric frame has its origin at the centre, x right, y up
+    metres_from_template : (3, 3) affine; the metric frame has x right, y up
     """
 
-    def __init__(self, width: int, height: int, width_m: float, margin: int = 0) -> None:
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        width_m: float,
+        outer: tuple[float, float, float, float] | None = None,
+        origin: tuple[float, float] | None = None,
+    ) -> None:
         self.size = width, height
         self.width_m = width_m
-        left, right, bottom = margin - 0.5, width - margin - 0.5, height - margin - 0.5
-        self.outline = np.array([[left, left], [right, left], [right, bottom], [left, bottom]])
+        left, top, right, bottom = outer or (-0.5, -0.5, width - 0.5, height - 0.5)
+        self.outline = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
         self.outline_homogeneous = np.vstack((self.outline.T, np.ones(4)))
-        scale = width_m / (width - 2 * margin)
-        self.metres_from_template = np.array(
-            [[scale, 0, -scale * (width - 1) / 2], [0, -scale, scale * (height - 1) / 2], [0, 0, 1]]
-        )
+        scale = width_m / (right - left)
+        x, y = origin or ((left + right) / 2, (top + bottom) / 2)
+        self.metres_from_template = np.array([[scale, 0, -scale * x], [0, -scale, scale * y], [0, 0, 1]])
         for array in (self.outline, self.outline_homogeneous, self.metres_from_template):
             array.flags.writeable = False
 

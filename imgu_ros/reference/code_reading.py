@@ -13,6 +13,7 @@ with the brightness s of the cells, the blur B, gain a and offset o. Another col
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -32,6 +33,8 @@ _CELL_PX = 4.0
 _FEWEST = 12
 #: A cell supports or contradicts a code when it is nearer to one colour than to the other by this, 1: as the one.
 _CLEARLY = 0.2
+#: Share of the cells of a marker of a board that have their colour where nothing covers it.
+_READ = 0.85
 #: Grey values by which the cells of a marker differ at least.
 _LEAST_CONTRAST = 4.0
 #: Log-likelihood ratio of a cell that looks just as one colour.
@@ -130,6 +133,27 @@ def read_code(frame: FrameImage, code: MarkerCode, H: Matrix3, camera: Camera | 
     )
 
 
+def where_read(
+    frame: FrameImage, codes: Sequence[MarkerCode], H: Matrix3, camera: Camera | None, template_xy: Points
+) -> Mask:
+    """Return which places are at markers whose codes are read, (N,); all where none is.
+
+    Parameters
+    ----------
+    frame, H, camera : as for `read_code`
+    codes : of a board
+    template_xy : (N, 2) px
+    """
+    reads = [read_code(frame, code, H, camera) for code in codes]
+    read = np.array([each is not None and each.share >= _READ for each in reads])
+    if read.all() or not read.any():
+        return np.ones(len(template_xy), bool)
+    corners = np.stack([code.corners for code in codes])
+    centres, half = corners.mean(axis=1), np.ptp(corners, axis=1)[:, 0] / 2
+    away = np.abs(template_xy[:, None] - centres).max(axis=2) / half
+    return np.asarray(read[away.argmin(axis=1)])
+
+
 def _share(supports: Mask, telling: Mask) -> float:
     return int(np.count_nonzero(supports)) / max(int(np.count_nonzero(telling)), 1)
 
@@ -139,12 +163,13 @@ def _brightness(
 ) -> tuple[Floats, Mask, float] | None:
     """Return the mean grey of each cell, (N, N), which are in view, and the area of one, raw px."""
     side = code.side
-    places = _places(side, code.cell_px)
+    H = H @ code.template_from_cells
+    places = _places(side)
     x, y, w = H @ places
     if not w.min() > 0:
         return None
     centre = H[2] @ places.mean(axis=1)
-    area = abs(cv2.determinant(H) / float(centre) ** 3) * code.cell_px**2
+    area = abs(cv2.determinant(H) / float(centre) ** 3)
     if not 0 < area < math.inf:
         return None
     at: Points = np.column_stack((x / w, y / w))
@@ -168,11 +193,11 @@ def _brightness(
 
 
 @lru_cache(maxsize=64)
-def _places(side: int, cell_px: int) -> Floats:
-    """Return nine samples of each cell, homogeneous template px, one a column."""
+def _places(side: int) -> Floats:
+    """Return nine samples of each cell, homogeneous, in cells, one a column."""
     steps = np.linspace(-SAMPLED / 2, SAMPLED / 2, 3)
     row, column, dy, dx = np.meshgrid(np.arange(side), np.arange(side), steps, steps, indexing="ij")
-    x, y = (((each + MARGIN + 0.5 + step) * cell_px - 0.5).ravel() for each, step in ((column, dx), (row, dy)))
+    x, y = ((each + 0.5 + step).ravel() for each, step in ((column, dx), (row, dy)))
     places = np.stack((x, y, np.ones(x.size)))
     places.flags.writeable = False
     return places

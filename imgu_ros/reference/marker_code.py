@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from imgu_ros.types import Floats, Mask
+from imgu_ros.types import Floats, Mask, Matrix3, Points
 from imgu_ros.vision.markers.dictionaries import marker_cells, marker_distance, nearest_marker
 
 #: Cells of white about the black square that are known.
@@ -27,12 +27,13 @@ class MarkerCode:
     Attributes
     ----------
     family, number : which marker
-    cell_px : side of a cell, template px; the template has `MARGIN` cells of white about the black square
+    template_from_cells : (3, 3) from its cells, x right, y down, 0 to N from edge to edge of the black square, upright,
+        to template px; the template has `MARGIN` cells of white about it
     """
 
     family: str
     number: int
-    cell_px: int
+    template_from_cells: Matrix3
 
     @cached_property
     def cells(self) -> Mask:
@@ -43,6 +44,18 @@ class MarkerCode:
     def side(self) -> int:
         """Number of cells along a side, with the black border."""
         return len(self.cells)
+
+    @property
+    def corners(self) -> Points:
+        """The outer corners of the black square, (4, 2) template px: top left, then clockwise, upright."""
+        n = self.side
+        at = np.array([[0, 0, 1], [n, 0, 1], [n, n, 1], [0, n, 1]]) @ self.template_from_cells.T
+        return at[:, :2]
+
+    @property
+    def tolerated(self) -> int:
+        """Number of inner cells that may differ where it goes out."""
+        return (self.distance - 1) // 8
 
     @property
     def distance(self) -> int:

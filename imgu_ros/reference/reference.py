@@ -44,8 +44,8 @@ class Reference(ABC):
     kind: ClassVar[str]
     #: Whether nothing is known of what lies beyond the template's border; else it goes on as there.
     ends_at_border: ClassVar[bool] = False
-    #: What tells it from others of its family; None: its picture alone.
-    marker_code: MarkerCode | None = None
+    #: What tells it from others of its family; empty: its picture alone.
+    codes: Sequence[MarkerCode] = ()
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class Reference(ABC):
             _ = octave.corners
 
     def edge_patches(self, scale: float) -> Points | None:
-        """Return centres of patches that hold every edge, template px; None: those that agree are as good.
+        """Return centres of patches that hold every edge, template px, best spread first; None: it has no such.
 
         Parameters
         ----------

@@ -29,6 +29,7 @@ from imgu_ros.reference.contradictions import (
     supported_together,
 )
 from imgu_ros.reference.frame_samples import FrameSamples, PartInView, SeenCells, frame_samples, octave_of, part_in_view
+from imgu_ros.reference.marker_code import MarkerCode
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.template_cells import CELL, CellMoments, cell_means
 from imgu_ros.reference.templates import TemplateOctave
@@ -228,11 +229,8 @@ def evidence(
     is_close : look closely in any case, as what is compared with another explanation needs; else where a first look
         finds contradictions
     """
-    if target.marker_code is not None:
-        read = read_code(frame, target.marker_code, H, camera)
-        if read is None:
-            return None
-        return Evidence(read.share, read.share, read.count, read.scatter, read.log_ratio, read.blur, read.cell_area)
+    if target.codes:
+        return _evidence_of_codes(frame, target.codes, H, camera)
     part = part_in_view(frame, target, H, camera)
     if part is None:
         return None
@@ -250,6 +248,24 @@ def evidence(
         if coarser is not None and coarser.share >= _SURE_WHEN_BLURRED:
             return coarser
     return found
+
+
+def _evidence_of_codes(
+    frame: FrameImage, codes: Sequence[MarkerCode], H: Matrix3, camera: Camera | None
+) -> Evidence | None:
+    """Return what a frame says by the codes in view, of which some may be covered; None where too little is in view."""
+    reads = [read for code in codes if (read := read_code(frame, code, H, camera)) is not None]
+    if not reads:
+        return None
+    count = sum(read.count for read in reads)
+    share = sum(read.share * read.count for read in reads) / max(count, 1)
+    if any(read.is_other for read in reads):
+        share = 0.0
+    # One code that is read tells that what contradicts lies before others.
+    scatter = min(read.scatter for read in reads)
+    ratios = np.concatenate([read.log_ratio.ravel() for read in reads])
+    area = sum(read.cell_area for read in reads) / len(reads)
+    return Evidence(share, share, count, scatter, ratios, min(read.blur for read in reads), area)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,15 +12,37 @@ import numpy as np
 from imgu_ros.reference.reference import Reference
 from imgu_ros.track.sample_refinement import AlignedPatches
 from imgu_ros.types import Matrix3
+from imgu_ros.vision.camera.intrinsics import Camera
 
+#: Most patches that are compared. Measured: benchmarks/markers.py.
+_MOST_PATCHES = 120
 #: From this share of the patches on that agree, nothing is hidden.
 _NOTHING_HIDDEN = 0.7
 
 
-def edge_patches(reference: Reference, H: Matrix3) -> AlignedPatches | None:
-    """Return the patches that hold every edge of a reference that is seen by H_image_template; None: it has no such."""
+def edge_patches(
+    reference: Reference, H: Matrix3, camera: Camera | None, shape: tuple[int, int]
+) -> AlignedPatches | None:
+    """Return the patches in view that hold the edges of a reference; None: it has no such.
+
+    Parameters
+    ----------
+    reference, H : and H_image_template by which it is seen, ideal px
+    camera : intrinsics when the lens distorts; else None
+    shape : height and width of the frame
+    """
     xy = reference.edge_patches(_scale(reference, H))
-    return None if xy is None else AlignedPatches(H, xy, 0, len(xy))
+    if xy is None:
+        return None
+    x, y, w = H @ np.vstack((xy.T, np.ones(len(xy))))
+    # The lens model is valid near the image only.
+    near = np.flatnonzero((w > 0) & (np.maximum(np.abs(x), np.abs(y)) < 2 * max(shape) * w))
+    at = np.column_stack((x[near], y[near])) / w[near, None]
+    if camera is not None and len(near):
+        at = camera.raw_pixels(at)
+    in_view = ((at >= 0) & (at <= (shape[1] - 1, shape[0] - 1))).all(axis=1)
+    chosen = xy[near[in_view][:_MOST_PATCHES]]
+    return AlignedPatches(H, chosen, 0, len(chosen))
 
 
 def edge_patches_near(

@@ -152,7 +152,7 @@ def align_patches(
         If the patches do not agree on a homography.
     """
     if has_samples(frame, reference):
-        edges = edge_patches(reference, H)
+        edges = edge_patches(reference, H, camera, frame.shape)
         if edges is not None and reach_px <= _DIRECT_PX:
             with contextlib.suppress(EstimationError):
                 return refined_on_samples(frame, reference, edges, camera, min_points, hints)

@@ -15,6 +15,7 @@ from imgu_ros.image.frame_image import FrameImage
 from imgu_ros.image.raw_samples import Lens, RowScan
 from imgu_ros.image.transfer_fit import CurveSamples
 from imgu_ros.pose.planar_pose import Located
+from imgu_ros.reference.code_reading import where_read
 from imgu_ros.reference.reference import Reference
 from imgu_ros.result import SampledPatches
 from imgu_ros.track.site_alignment import SiteAlignment, SitesFit
@@ -164,6 +165,8 @@ def refined_on_samples(
     if mosaic is None or reference.light is None:
         raise NoConsensus("sites: no raw samples")
     lens = None if camera is None else _lens(camera)
+    if len(reference.codes) > 1:
+        start = _uncovered(frame, reference, start, camera)
     levels = reference.light[frame.light_kind]
     scan, centres = None, start.template_xy
     if frame.row_time_ns > 0:
@@ -186,6 +189,17 @@ def refined_on_samples(
         fit.spread,
     )
     return replace(found, H_seen=H_seen, sampled=sampled, samples=partial(alignment.samples, fit.kept))
+
+
+def _uncovered(frame: FrameImage, reference: Reference, start: AlignedPatches, camera: Camera | None) -> AlignedPatches:
+    """Return the patches of a board without those at markers that are not read: something covers them."""
+    seen = where_read(frame, reference.codes, start.H, camera, start.template_xy)
+    if seen.all():
+        return start
+    before = start.before
+    if before is not None:
+        before = replace(before, kept=before.kept[seen])
+    return replace(start, template_xy=start.template_xy[seen], before=before)
 
 
 def _at_middle_row(

@@ -26,8 +26,12 @@ def test_markers_and_pictures_in_one_list(tmp_path: Path) -> None:
     entries = ("tag36h11:7", str(tmp_path / "poster.png"), "aruco_5x5_100:12")
     first, poster, second = load_target_images(TargetsParameters(images=entries, widths_m=(0.1, 0.5, 0.05)))
     assert isinstance(first, MarkerImage) and isinstance(second, MarkerImage)
-    assert (first.name, first.family, first.number, first.width_m) == ("tag36h11_7", "tag36h11", 7, 0.1)
-    assert (second.name, second.number, second.width_m) == ("aruco_5x5_100_12", 12, 0.05)
+    assert (first.name, str(first.layout.markers[0]), first.width_m) == ("tag36h11_7", "tag36h11:7", 0.1)
+    assert (second.name, str(second.layout.markers[0]), second.width_m) == (
+        "aruco_5x5_100_12",
+        "aruco_5x5_100:12",
+        0.05,
+    )
     assert (poster.name, poster.kind, poster.width_m) == ("poster", "", 0.5)
     (named,) = load_target_images(TargetsParameters(images=("tag36h11:7",), names=("dock",)))
     assert (named.name, named.width_m) == ("dock", 0.0)

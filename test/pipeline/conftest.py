@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import islice
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +15,8 @@ from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.simulate.sequence import SimulatedFrame, Simulation, default_targets, simulate_sequence
 
+if (HERE := str(Path(__file__).parent)) not in sys.path:  # `marker_scenes`
+    sys.path.append(HERE)
 WIDTH, HEIGHT = 640, 480
 
 

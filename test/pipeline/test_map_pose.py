@@ -30,7 +30,7 @@ MAP_FROM_TARGET = (
     RigidTransform(Rotation.from_euler("z", 30, degrees=True).as_matrix(), np.array([0.3, -0.2, 0.0])),
     RigidTransform(Rotation.from_euler("y", -50, degrees=True).as_matrix(), np.array([1.0, 0.2, 0.4])),
 )
-PLACES = map_places(("t0", "t1", "t2"), MAP_FROM_TARGET, (0.4, 0.4, 0.4))
+PLACES = map_places(("t0", "t1", "t2"), MAP_FROM_TARGET)
 #: Before the wall, looking at it a little from the side.
 CAMERA = RigidTransform(
     (Rotation.from_euler("x", 180, degrees=True) * Rotation.from_euler("yx", [14, 8], degrees=True)).as_matrix(),
@@ -49,7 +49,7 @@ def seen(seed: int, map_from_target: tuple[RigidTransform, ...] = MAP_FROM_TARGE
         points = np.column_stack((grid, np.zeros(len(grid)))) @ camera_from_target.R.T + camera_from_target.t
         pixels = camera.project(points) + generator.normal(0, NOISE_PX, grid.shape)
         pose = planar_poses(grid, pixels, camera).solutions[0]
-        targets.append(ReferenceResult(f"t{index}", index, Status.DETECTED, PoseStatus.METRIC, pose=pose))
+        targets.append(ReferenceResult(f"t{index}", index, Status.DETECTED, PoseStatus.METRIC, pose=pose, width_m=0.4))
     frame = Frame(RawImage(np.zeros((1, 1), np.uint8), PixelLayout(ColorModel.MONO)), 0, "camera", None)
     return Result(frame, by_name(tuple(targets)))
 
@@ -130,9 +130,7 @@ def test_the_chain_on_simulated_frames_of_two_targets() -> None:
         truth = first.inverse()
 
         def placed(*kept: int, result: Result = result, places: tuple[RigidTransform, ...] = places) -> Pose:
-            fused = camera_in_map(
-                only(result, *kept), map_places([known.name for known in targets], places, (0.3, 0.3))
-            )
+            fused = camera_in_map(only(result, *kept), map_places([known.name for known in targets], places))
             assert fused is not None
             return fused.pose
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from marker_scenes import FAMILY, FINE, HEIGHT, LAYOUT, WIDTH, K, error_m, exposed, placed, put, scene
 
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.parameters import Parameters
@@ -18,74 +19,19 @@ from imgu_ros.localizer import Localizer, prepare_localizer
 from imgu_ros.reference.marker import MarkerReference, marker_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references, prepare_references
-from imgu_ros.result import PoseStatus, ReferenceResult, Status
+from imgu_ros.result import PoseStatus, Status
 from imgu_ros.simulate.texture import procedural_texture
-from imgu_ros.types import Floats, Image
 from imgu_ros.vision.camera.intrinsics import make_camera
-from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.markers import marker_cells
 
 pytestmark = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
-
-WIDTH, HEIGHT, FINE = 640, 480, 6
-K = np.array([[680.0, 0, 319.5], [0, 680, 239.5], [0, 0, 1]])
-CAMERA = make_camera(K, [], "plumb_bob", WIDTH, HEIGHT)
-LAYOUT = PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)
-FAMILY = "tag36h11"
-
-
-def placed(x_m: float, y_m: float, z_m: float, tilt_deg: float, roll_deg: float = 20.0) -> tuple[Floats, Floats]:
-    """Return rotation and translation camera_from_target."""
-    R = (
-        cv2.Rodrigues(np.array((0.0, np.radians(tilt_deg), 0)))[0]
-        @ cv2.Rodrigues(np.array((0, 0, np.radians(roll_deg))))[0]
-    )
-    return R @ np.diag((1.0, -1.0, -1.0)), np.array((x_m, y_m, z_m))
-
-
-def scene() -> Image:
-    """Return grey, in linear light, `FINE` px a px."""
-    ramp = np.linspace(0.25, 0.4, WIDTH * FINE, dtype=np.float32)
-    return np.repeat(ramp[None], HEIGHT * FINE, axis=0)
-
-
-def put(light: Image, cells: np.ndarray, width_m: float, R: Floats, t: Floats, margin: int = 1) -> None:
-    """Draw cells, with a margin of white, into a scene; `width_m` is that of the cells without it."""
-    white = np.pad(np.asarray(cells, np.float32), margin, constant_values=1)
-    fine = cv2.resize(0.06 + 0.74 * white, None, fx=32, fy=32, interpolation=cv2.INTER_NEAREST)
-    side, scale = len(fine), width_m / (32 * len(cells))
-    metres = np.array([[scale, 0, -scale * (side - 1) / 2], [0, -scale, scale * (side - 1) / 2], [0, 0, 1]])
-    S = np.array([[FINE, 0, (FINE - 1) / 2], [0, FINE, (FINE - 1) / 2], [0, 0, 1]])
-    H = S @ K @ np.column_stack((R[:, 0], R[:, 1], t)) @ metres
-    size = (light.shape[1], light.shape[0])
-    drawn = cv2.warpPerspective(fine, H, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    corners = (
-        np.array([[-0.5, -0.5, 1], [side - 0.5, -0.5, 1], [side - 0.5, side - 0.5, 1], [-0.5, side - 0.5, 1]]) @ H.T
-    )
-    mask = np.zeros(light.shape, np.uint8)
-    cv2.fillConvexPoly(mask, np.rint(corners[:, :2] / corners[:, 2:]).astype(np.int32), 1)
-    light[mask > 0] = drawn[mask > 0]
-
-
-def exposed(light: Image, seed: int = 0, blur_px: float = 0.5, index: int = 0) -> Frame:
-    """Return the raw frame of a scene: point spread, sites, noise, 8 bits."""
-    seen = cv2.resize(cv2.GaussianBlur(light, (0, 0), blur_px * FINE), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-    noise = np.random.default_rng(seed).standard_normal(seen.shape).astype(np.float32)
-    raw = np.rint(255 * (seen + 0.006 * np.sqrt(seen) * noise))
-    image = RawImage(np.clip(raw, 0, 255).astype(np.uint8), LAYOUT)
-    return Frame(image, 1_000_000_000 + 33_000_000 * index, "camera", CAMERA)
 
 
 def localizer(numbers: Sequence[int], width_m: float = 0.1, family: str = FAMILY, **values: object) -> Localizer:
     parameters = parameters_from({name.replace("__", "."): value for name, value in values.items()})
     images = [marker_image(f"m{number}", family, number, width_m) for number in numbers]
     return Localizer(parameters, make_references(images, parameters))
-
-
-def error_m(found: ReferenceResult, t: Floats) -> float:
-    assert found.pose is not None, (found.status, found.reason)
-    return float(np.linalg.norm(found.pose.t - t))
 
 
 @pytest.mark.parametrize(
