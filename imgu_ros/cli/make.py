@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a PDF that prints a target at its exact size.
 
-TARGET is an image file, a marker such as tag36h11:7, or `random`: a texture made to be found, whose picture is written
-beside the PDF. W is the width of the picture, or of a marker's black square, about which a cell of white belongs to it.
+TARGET is an image file, a marker such as tag36h11:7, a board file such as board.yaml, or `random`: a texture made to be
+found, whose picture is written beside the PDF. W is the width of the picture, or of a marker's black square, about
+which a cell of white belongs to it; a board is as large as its file says, and scaled to W where that is given.
 The page has cutting marks, a ruler to check the printer's scale, and what to enter as parameters. What is larger than
 the paper is printed in tiles that overlap.
 """
@@ -21,6 +22,7 @@ from imgu_ros.errors import FileError, ParameterError
 if TYPE_CHECKING:
     from imgu_ros.config.parameters import Parameters
     from imgu_ros.files.print_pages import PrintJob
+    from imgu_ros.reference.marker_layout import CellBlock
     from imgu_ros.reference.templates import TargetImage
 
 HELP = "write a PDF that prints a target at its exact size"
@@ -37,8 +39,8 @@ _COARSE_PX_MM = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("target", metavar="TARGET", help="an image file, a marker such as tag36h11:7, or random")
-    parser.add_argument("--width-m", type=float, required=True, metavar="W", help="of the print, edge to edge")
+    parser.add_argument("target", metavar="TARGET", help="an image file, tag36h11:7, board.yaml, or random")
+    parser.add_argument("--width-m", type=float, metavar="W", help="of the print, edge to edge; not needed for a board")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.pdf")
     parser.add_argument(
         "--paper", choices=_PAPERS, default="auto",
@@ -65,52 +67,67 @@ def run(arguments: argparse.Namespace) -> int:
         image, entry = _target(arguments, parameters_of(arguments)), arguments.target
     job = _job(image, entry)
     tiles = tiles_of(job.size_mm, arguments.paper, arguments.overlap_mm)
-    content = print_pages(job, tiles, arguments.overlap_mm)
+    content = print_pages([(job, tiles)], arguments.overlap_mm)
     if arguments.target == RANDOM:
         _require_unused(Path(entry), image)
         write_image(Path(entry), image.pixels)
     write_whole(out, content)
     density = image.pixels.shape[1] / job.size_mm[0]
-    if job.white is None and density < _COARSE_PX_MM:
+    if not job.cells and density < _COARSE_PX_MM:
         warn(f"{entry}: {density:.2g} px a mm; its pixels will show as steps")
     page = " x ".join(f"{side:.4g}" for side in tiles[0].page_mm)
     pages = "a page" if len(tiles) == 1 else f"{len(tiles)} pages ({tiles[0].columns} x {tiles[0].rows} tiles)"
     say(f"{out}: {job.words[0]}; on {pages} of {page} mm")
     say("Print it at 100 %, not fitted to the page, and measure its ruler.")
-    say(f"parameters: -p targets.images:={entry} -p targets.widths_m:={image.width_m:g}")
+    say(f"parameters: -p targets.images:={entry}{_width_parameter(image, arguments.width_m)}")
     return 0
 
 
 def _job(image: TargetImage, entry: str) -> PrintJob:
     """Return what is printed of a target, and the words beside it."""
-    import numpy as np
-
     from imgu_ros.files.print_pages import PrintJob
-    from imgu_ros.reference.marker import MarkerImage
-    from imgu_ros.reference.marker_code import MARGIN
+    from imgu_ros.reference.marker import BoardImage, MarkerImage
     from imgu_ros.shown_text import shown
 
-    width_mm, white = 1000 * image.width_m, None
+    width_mm = 1000 * image.width_m
     height_mm = width_mm * image.pixels.shape[0] / image.pixels.shape[1]
-    size = f"{width_mm:.4g} x {height_mm:.4g} mm"
+    cells: list[CellBlock] = []
     if isinstance(image, MarkerImage):
-        cells = image.layout.markers[0].cells
-        white = np.pad(cells, MARGIN, constant_values=True)
-        size += ", outer edge to outer edge of the black square; leave the white about it"
-        width_mm = height_mm = width_mm * len(white) / len(cells)
+        layout = image.layout
+        left, top, right, bottom = layout.box
+        scale, margin = width_mm / (right - left), layout.margin
+        cells = [block.moved(left - margin, top + margin, scale) for block in layout.blocks]
+        size = f"{width_mm:.4g} x {scale * (top - bottom):.4g} mm, outer edge to outer edge of "
+        size += (
+            "what is black" if isinstance(image, BoardImage) else "the black square"
+        ) + "; leave the white about it"
+        width_mm, height_mm = (scale * (side + 2 * margin) for side in (right - left, top - bottom))
     else:
-        size += ", edge to edge"
+        size = f"{width_mm:.4g} x {height_mm:.4g} mm, edge to edge"
         entry = Path(entry).name
     parameters = f"targets.images: [{shown(entry)}]   targets.widths_m: [{image.width_m:g}]"
-    return PrintJob(image.pixels, (width_mm, height_mm), image.width_m, (f"{image.name}: {size}", parameters), white)
+    words = f"{image.name}: {size}", parameters
+    return PrintJob(image.pixels, (width_mm, height_mm), image.width_m, words, cells)
+
+
+def _width_parameter(image: TargetImage, width_m: float | None) -> str:
+    """Return the parameter that says the width; a board's file says its own."""
+    from imgu_ros.reference.marker import BoardImage
+
+    is_known = isinstance(image, BoardImage) and width_m is None
+    return "" if is_known else f" -p targets.widths_m:={image.width_m:g}"
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    from imgu_ros.files.board_file import BOARD_SUFFIXES
+
     if arguments.out.suffix.lower() != ".pdf":
         raise FileError(f"--out: {arguments.out}; need a name that ends with .pdf")
     for name, value in (("--width-m", arguments.width_m), ("--height-m", arguments.height_m)):
         if value is not None and not 1e-3 <= value <= 100:
             raise ParameterError(f"{name}: {value:g} m; need 0.001 to 100 m")
+    if arguments.width_m is None and Path(arguments.target).suffix.lower() not in BOARD_SUFFIXES:
+        raise ParameterError("--width-m: not given; need the width of the print in metres")
     if arguments.target != RANDOM and (arguments.height_m is not None or arguments.seed is not None):
         given = "--seed" if arguments.height_m is None else "--height-m"
         raise ParameterError(f"{given}: of the target {RANDOM} alone; {arguments.target} is another")
@@ -123,7 +140,7 @@ def _target(arguments: argparse.Namespace, parameters: Parameters) -> TargetImag
     from imgu_ros.config.parameters import TargetsParameters
     from imgu_ros.files.target_images import load_target_images
 
-    targets = TargetsParameters(images=(arguments.target,), widths_m=(arguments.width_m,))
+    targets = TargetsParameters(images=(arguments.target,), widths_m=(arguments.width_m or 0.0,))
     return load_target_images(targets, warn, limits=parameters.limits)[0]
 
 

@@ -22,6 +22,7 @@ from matplotlib.patches import Rectangle
 
 from imgu_ros.errors import ShapeError
 from imgu_ros.files.plot_style import plot_style
+from imgu_ros.reference.marker_layout import CellBlock
 from imgu_ros.types import Image, Mask
 
 #: Width and height, upright (ISO 216, ANSI Y14.1).
@@ -53,14 +54,14 @@ class PrintJob:
     size_mm : width and height of the picture
     width_m : what is to be entered as the target's width
     words : lines of text for the margin
-    white : of a marker, which of its cells are white, (N, N) with the white about it: drawn as shapes
+    cells : of markers: they are drawn as shapes, and `pixels` are not; mm from the upper left corner, y up
     """
 
     pixels: Image
     size_mm: tuple[float, float]
     width_m: float
     words: Sequence[str]
-    white: Mask | None = None
+    cells: Sequence[CellBlock] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,15 +131,16 @@ def _tiled(size_mm: tuple[float, float], page: tuple[float, float], overlap_mm: 
     return tiles
 
 
-def print_pages(job: PrintJob, tiles: Sequence[Tile], overlap_mm: float) -> bytes:
-    """Return a PDF of one page for each tile; the same job gives the same bytes.
+def print_pages(jobs: Sequence[tuple[PrintJob, Sequence[Tile]]], overlap_mm: float) -> bytes:
+    """Return a PDF of one page for each tile of each job; the same jobs give the same bytes.
 
-    It asks viewers to print at 100 %. The picture is embedded as it is, not resampled.
+    It asks viewers to print at 100 %. Pictures are embedded as they are, not resampled.
     """
     content = io.BytesIO()
     with plot_style({"pdf.fonttype": 42, "path.simplify": False}), PdfPages(content, metadata=_metadata()) as pages:
-        for figure in _figures(job, tiles, overlap_mm):
-            pages.savefig(figure)
+        for job, tiles in jobs:
+            for figure in _figures(job, tiles, overlap_mm):
+                pages.savefig(figure)
     return _printed_unscaled(content.getvalue())
 
 
@@ -168,13 +170,13 @@ def _origin(tile: Tile) -> tuple[float, float]:
 
 def _draw_picture(axes: Any, job: PrintJob, tile: Tile) -> None:
     (x, y), (width, height) = _origin(tile), job.size_mm
-    if job.white is None:
+    if not job.cells:
         axes.imshow(
             job.pixels, cmap="gray", vmin=0, vmax=255, extent=(x, x + width, y + height, y), interpolation="none",
             aspect="auto",
         )  # fmt: skip
-    else:
-        _draw_cells(axes, job.white, (x, y), width / job.white.shape[1])
+    for block in job.cells:
+        _draw_cells(axes, block.white, (x + block.left, y - block.top), block.side)
     # Renderers round the edges of a picture outwards to whole dots; those of white paper over it they draw exactly.
     left = top = _MARGIN_MM
     right, bottom = left + tile.part_mm[2], top + tile.part_mm[3]
@@ -189,7 +191,7 @@ def _draw_picture(axes: Any, job: PrintJob, tile: Tile) -> None:
 
 
 def _draw_cells(axes: Any, white: Mask, origin: tuple[float, float], side: float) -> None:
-    """Draw the cells of a marker: black paper, and on it every row's and every column's runs of white."""
+    """Draw cells of a marker or a chessboard: black paper, and on it every row's and every column's runs of white."""
     x, y = origin
     rows, columns = white.shape
     axes.add_patch(_filled((x, y), columns * side, rows * side, "black"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -97,6 +97,10 @@ class CellBlock:
     side: float
     white: Mask
     is_framed: bool
+
+    def moved(self, left: float, top: float, scale: float) -> CellBlock:
+        """Return the block with another origin, at its upper left, and in other units."""
+        return replace(self, left=(self.left - left) * scale, top=(self.top - top) * scale, side=self.side * scale)
 
     @property
     def right(self) -> float:

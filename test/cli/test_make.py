@@ -179,7 +179,7 @@ def test_a_coarse_picture_is_warned_of(picture: Path, tmp_path: Path, capsys: py
 def test_grey_pictures_keep_their_values() -> None:
     ramp = np.tile(np.arange(0, 250, 10, dtype=np.uint8), (10, 1))
     job = PrintJob(ramp, (100.0, 40.0), 0.1, ())
-    content = print_pages(job, tiles_of(job.size_mm, "auto", 10.0), 10.0)
+    content = print_pages([(job, tiles_of(job.size_mm, "auto", 10.0))], 10.0)
     document = pdfium.PdfDocument(content)
     page = np.asarray(document[0].render(scale=2).to_pil().convert("L"))
     document.close()
@@ -230,3 +230,40 @@ def test_a_printed_marker_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert numbers.ravel().tolist() == [7]
     sides = np.linalg.norm(np.diff(corners[0][0], axis=0, append=corners[0][0][:1]), axis=1)
     np.testing.assert_allclose(sides / 100 * 25.4, 80, rtol=0.01)
+
+
+def test_a_printed_board_is_read_and_as_large_as_its_file_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """OpenCV reads it; distances between corners of different markers are exact. Another width scales it."""
+    if not hasattr(cv2, "aruco"):
+        pytest.skip("no aruco module in this OpenCV")
+    board = tmp_path / "wall.yaml"
+    board.write_text("grid: {family: tag36h11, rows: 2, columns: 3, size: 0.04, gap: 0.015, first_id: 3}")
+    for options, scale in (((), 1.0), (("--width-m", 0.075), 0.5)):
+        page = pages_of(made(tmp_path, board, *options))[0]
+        said = capsys.readouterr().out
+        assert "150 x 95 mm" in said if scale == 1 else "75 x 47.5 mm" in said
+        assert f"targets.images:={board}\n" in said if scale == 1 else "targets.widths_m:=0.075" in said
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(cv2.cvtColor(page, cv2.COLOR_RGB2GRAY))
+        # OpenCV's are half a turn from upright: its third corner is the upper left one.
+        place = {int(n): np.roll(c[0], 2, axis=0) * 25.4 / DPI for n, c in zip(numbers.ravel(), corners, strict=True)}
+        assert sorted(place) == [3, 4, 5, 6, 7, 8]
+        assert place[5][1] - place[6][3] == pytest.approx((150 * scale, -95 * scale), abs=0.2)
+        assert place[4][0] - place[3][1] == pytest.approx((15 * scale, 0), abs=0.2)
+
+
+def test_a_printed_charuco_board_is_opencvs(tmp_path: Path) -> None:
+    if not hasattr(cv2, "aruco"):
+        pytest.skip("no aruco module in this OpenCV")
+    board = tmp_path / "charuco.yml"
+    board.write_text("charuco: {family: aruco_4x4_50, columns: 4, rows: 5, square: 0.04, size: 0.03}")
+    page = pages_of(made(tmp_path, board))[0].min(axis=2)
+    left = top = round(12 / 25.4 * DPI)
+    width, height = (round(mm / 25.4 * DPI) for mm in (160, 200))
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    expected = cv2.aruco.CharucoBoard((4, 5), 0.04, 0.03, dictionary).generateImage((4 * 24 * 4, 5 * 24 * 4))
+    seen = cv2.resize(page[top : top + height, left : left + width], expected.shape[::-1], interpolation=cv2.INTER_AREA)
+    assert np.abs(seen.astype(int) - expected).mean() < 12
+    assert np.corrcoef(seen.ravel(), expected.ravel())[0, 1] > 0.95
