@@ -132,3 +132,47 @@ def board_frame(
         part = np.array([a, a + covered * (b - a), d + covered * (c - d), d])
         cover(scene, mapped(H, part), rng)
     return frame_of(scene, rng, index)
+
+
+def cube_places(side: float) -> list[tuple[Floats, Floats]]:
+    """Return thing_from_face, R and t, of five faces of a cube: four upright ones and the top; origin in its middle."""
+    places = []
+    for angle in (0, 90, 180, 270):
+        a = math.radians(angle)
+        # Upright: the face's y is up, z outwards.
+        outwards, up = np.array((math.sin(a), 0.0, math.cos(a))), np.array((0.0, 1.0, 0.0))
+        places.append((np.column_stack((np.cross(up, outwards), up, outwards)), side / 2 * outwards))
+    top = np.array((0.0, 1.0, 0.0))
+    places.append((np.column_stack(((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), top)), side / 2 * top))
+    return places
+
+
+def cube_frame(
+    rng: np.random.Generator, numbers: Sequence[int], side: float, size: float, R: Floats, t: Floats, index: int = 0
+) -> Frame:
+    """Return a frame of a cube with a marker on each of five faces, at camera_from_thing."""
+    scene = background(rng)
+    for number, (R_face, t_face) in zip(numbers, cube_places(side), strict=True):
+        R_seen, t_seen = R @ R_face, R @ t_face + t
+        if R_seen[:, 2] @ t_seen < 0:
+            sheet = sheet_of([Tag(number, size)], margin_cells=8 * (side / size - 1) / 2)
+            put_print(scene, sheet.pixels, sheet.homography(R_seen, t_seen))
+    return frame_of(scene, rng, index)
+
+
+def cube_pose(
+    rng: np.random.Generator, side: float, distance: tuple[float, float], from_below_deg: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return camera_from_thing from any side but from below, the whole cube in view."""
+    corners = side / 2 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    while True:
+        turn = rng.standard_normal((3, 3))
+        R, _ = np.linalg.qr(turn)
+        R *= np.sign(np.linalg.det(R))
+        ray = np.linalg.solve(K, np.array((*rng.uniform((0, 0), (WIDTH, HEIGHT)), 1.0)))
+        t = ray / np.linalg.norm(ray) * rng.uniform(*distance)
+        # The direction to the camera, in the thing.
+        up = -(R.T @ t)[1] / np.linalg.norm(t)
+        seen = mapped(K, ((corners @ R.T + t) / (corners @ R.T + t)[:, 2:])[:, :2])
+        if up > -math.sin(math.radians(from_below_deg)) and ((seen > 2) & (seen < (WIDTH - 3, HEIGHT - 3))).all():
+            return R, t

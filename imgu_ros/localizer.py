@@ -10,6 +10,7 @@ from imgu_ros.build_cache import BuildCache
 from imgu_ros.camera_memory import CameraMemories, CameraMemory
 from imgu_ros.config.components import DetectionParameters, DevelopmentParameters, FeatureParameters
 from imgu_ros.config.parameters import Parameters
+from imgu_ros.detect.bundle_parts import parts_beside
 from imgu_ros.detect.copies import PERFECT, require_no_better_copy, still_alike
 from imgu_ros.detect.features import Features, find_features
 from imgu_ros.detect.frame_context import FrameContext
@@ -69,7 +70,7 @@ class Localizer:
         """Know one more reference, or another one of the same name, from the next frame on; other tracks continue."""
         known = self._references.get(reference.name)
         if known is not None and not reference.has_template_of(known):
-            self._cameras.keep(self._references.keys() - {reference.name})
+            self._cameras.keep(self._parts.keys() - {part.name for part in known.parts})
         self._change([*(each for each in self.references if each.name != reference.name), reference])
 
     def remove(self, name: str) -> None:
@@ -95,8 +96,8 @@ class Localizer:
         continues until the camera changes.
         """
         self._cameras = before._cameras.copy()
-        known = before._references
-        same = {name for name, each in self._references.items() if name in known and each.has_template_of(known[name])}
+        known = before._parts
+        same = {name for name, each in self._parts.items() if name in known and each.has_template_of(known[name])}
         self._cameras.keep(same if self._parameters.tracking.enabled else set())
 
     def process(self, frame: Frame, with_keypoints: bool = False, development: Development | None = None) -> Result:
@@ -119,18 +120,20 @@ class Localizer:
                 image.curve = memory.transfer.curve
             image.row_time_ns = 1000 * self._parameters.camera.row_time_us
             results = self._follow(context, memory, time_ns)
-            missing = [each for name, each in self._references.items() if name not in results]
+            missing = [each for each in self.references if not any(part.name in results for part in each.parts)]
             is_due = self._search_is_due(memory, missing)
             if is_due:
                 results |= self._detect(context, memory, missing, results.values())
+            results |= self._beside(context, results)
             results = self._rivals.settled(context, results, is_due)
             features = context.features if with_keypoints else context.computed_features
             if self._places:
                 results, turned = told_apart(results, self._planes, self._places, frame.camera)
                 memory.forget(turned)
-            results = {name: results.get(name) or _lost(each, is_due) for name, each in self._references.items()}
+            results = {name: results.get(name) or _lost(each, is_due) for name, each in self._parts.items()}
             self._remember(memory, results, time_ns)
             memory.frames_without_search = 0 if is_due or not missing else memory.frames_without_search + 1
+            results = {each.name: each.combined(results, frame) for each in self.references}
             results = memory.calibration.examined(frame.camera, results)
         except ImguError as error:
             return context.timed(rejected(frame, self.references, str(error)))
@@ -162,21 +165,27 @@ class Localizer:
         if len(self._references) < len(references):
             names = ", ".join(reference.name for reference in references)
             raise ParameterError(f"references: {names}; need unique names")
-        self._planes = {reference.name: reference.plane for reference in references}
-        targets = self._parameters.targets
-        poses = rigid_transforms(targets.poses, "targets.poses")
+        self._parts = {part.name: part for reference in references for part in reference.parts}
+        parts = tuple(self._parts.values())
+        self._planes = {part.name: part.plane for part in parts}
+        poses = rigid_transforms(self._parameters.targets.poses, "targets.poses")
         # A reference has the place of its number in the lists.
-        self._places = {each.name: poses[each.number] for each in references if each.number < len(poses)}
-        self._detectors = make_detectors(self.references, self._parameters, self._cache)
-        self._rivals = Rivals(self.references, DetectionParameters.of(self._parameters))
-        self._cameras.keep(self._references.keys())
+        self._places = {
+            part.name: poses[each.number].after(each.place_of(part.name))
+            for each in references
+            for part in each.parts
+            if each.number < len(poses)
+        }
+        self._detectors = make_detectors(parts, self._parameters, self._cache)
+        self._rivals = Rivals(parts, DetectionParameters.of(self._parameters))
+        self._cameras.keep(self._parts.keys())
 
     def _follow(self, context: FrameContext, memory: CameraMemory, time_ns: int) -> dict[str, ReferenceResult]:
-        """Return the references whose tracks hold, by name."""
+        """Return the parts of references whose tracks hold, by name."""
         found: dict[str, ReferenceResult] = {}
         frame, options, fewest = context.frame, self._parameters.refinement, self._parameters.homography.min_inliers
         for name, track in memory.tracks.items():
-            reference = self._references[name]
+            reference = self._parts[name]
             try:
                 with context.clock.measures(Stage.REFINE):
                     followed = follow(reference, track, context.image, time_ns, frame.camera, options, fewest)
@@ -206,13 +215,13 @@ class Localizer:
         missing: Sequence[Reference],
         tracked: Iterable[ReferenceResult],
     ) -> dict[str, ReferenceResult]:
-        """Return what became of the missing references that were looked for, by name."""
+        """Return what became of the parts of missing references that were looked for, by name."""
         memory.searches += 1
         thorough = memory.searches % _THOROUGH_EVERY == 0
         covered = [result.outline for result in tracked if result.outline is not None]
         found: dict[str, ReferenceResult] = {}
         for kind, detector in self._detectors.items():
-            wanted = [reference for reference in missing if reference.kind == kind]
+            wanted = [part for reference in missing for part in reference.parts if part.kind == kind]
             if wanted:
                 found |= by_name(detector.detect(context, wanted, covered, thorough))
         for samples in context.curve_samples:
@@ -220,11 +229,20 @@ class Localizer:
                 memory.transfer.add(samples())
         return found
 
+    def _beside(self, context: FrameContext, results: Mapping[str, ReferenceResult]) -> dict[str, ReferenceResult]:
+        """Return what else is found of rigid things, where the parts that were found say that it should be, by name."""
+        found: dict[str, ReferenceResult] = {}
+        for reference in self.references:
+            if len(reference.parts) > 1:
+                with context.clock.measures(Stage.REFINE):
+                    found |= by_name(parts_beside(context, reference, results, self._parameters))
+        return found
+
     def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference]) -> bool:
         """Return whether to search: at once when a track was just lost or none is left, else now and then."""
         if not missing:
             return False
-        just_lost = any(reference.name in memory.tracks for reference in missing)
+        just_lost = any(part.name in memory.tracks for reference in missing for part in reference.parts)
         none_in_view = len(missing) == len(self._references)
         waited = memory.frames_without_search + 1
         return just_lost or none_in_view or waited >= self._parameters.tracking.search_every
@@ -232,7 +250,7 @@ class Localizer:
     def _remember(self, memory: CameraMemory, results: Mapping[str, ReferenceResult], time_ns: int) -> None:
         if self._parameters.tracking.enabled:
             for name, result in results.items():
-                memory.remember(self._references[name], result, time_ns)
+                memory.remember(self._parts[name], result, time_ns)
 
 
 def rejected(frame: Frame, references: Iterable[Reference], reason: str) -> Result:

@@ -8,16 +8,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import FileError, ShapeError, nearest_name
 from imgu_ros.file_access.bounded_reading import file_bytes
 from imgu_ros.files.yaml_tree import yaml_tree
+from imgu_ros.reference.bundle import BundleMarker
 from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker, charuco_layout, grid_layout
 from imgu_ros.shown_text import quoted
+from imgu_ros.vision.camera.euler import from_euler
+from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform
 from imgu_ros.vision.markers import marker_cells, marker_distance
 
+#: Markers on one plane, or on several.
+Board = MarkerLayout | tuple[BundleMarker, ...]
 #: Suffixes of board files among the entries of `targets.images`.
 BOARD_SUFFIXES = (".yaml", ".yml")
 _NEED = "need a board file: one of markers, grid, charuco"
@@ -27,16 +34,25 @@ _CHARUCO = {
     "family": None, "rows": None, "columns": None, "square": None, "size": None, "first_id": 0, "legacy": False,
 }  # fmt: skip
 _MARKER = {"family": None, "id": None, "size": None, "x": 0.0, "y": 0.0, "turn_deg": 0}
+_QUATERNION, _ANGLES = "quaternion", ("roll_deg", "pitch_deg", "yaw_deg")
+#: What a marker has that is not on the plane of the others.
+_OFF_PLANE = ("z", _QUATERNION, *_ANGLES, "covariance")
+_PLACED = {
+    "family": None, "id": None, "size": None, "x": 0.0, "y": 0.0, "z": 0.0, _QUATERNION: (0, 0, 0, 1),
+    **dict.fromkeys(_ANGLES, 0.0), "covariance": (0,) * 36,
+}  # fmt: skip
 #: More than any board has: preparing one takes a second.
 _MOST_MARKERS = 1000
 #: Lengths beyond are a mistaken unit, m.
 _SHORTEST_M, _LONGEST_M = 1e-4, 1e4
+#: Normals whose cosine is larger face the same side.
+_ALIKE = 0.5
 #: Edges that overlap by less are rounding, as a share of a marker.
 _ROUNDING = 1e-6
 
 
-def read_board(path: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> MarkerLayout:
-    """Return what a board file says.
+def read_board(path: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> Board:
+    """Return what a board file says: the layout of a board, or the markers of a bundle.
 
     Parameters
     ----------
@@ -58,7 +74,7 @@ def read_board(path: Path, limits: LimitsParameters = DEFAULT_LIMITS) -> MarkerL
     return board_of(content, str(path))
 
 
-def board_of(content: Any, source: str) -> MarkerLayout:
+def board_of(content: Any, source: str) -> Board:
     """Return the board that the content of a file describes, texts in dictionaries and lists.
 
     Parameters
@@ -78,11 +94,11 @@ def board_of(content: Any, source: str) -> MarkerLayout:
     (kind,) = kinds
     try:
         _require_known(content, (kind, *(("family", "size") if kind == "markers" else ())), "")
-        layout = {"markers": _of_markers, "grid": _of_grid, "charuco": _of_charuco}[kind](content)
-        _require_possible(layout)
+        board = {"markers": _of_markers, "grid": _of_grid, "charuco": _of_charuco}[kind](content)
+        _require_possible(board)
     except (FileError, ShapeError) as error:
         raise FileError(f"{source}: {error}") from None
-    return layout
+    return board
 
 
 class _CheckedKeys:
@@ -118,6 +134,15 @@ class _CheckedKeys:
             raise FileError(f"{self._name}.{key}: {quoted(str(text)[:80])}; need a number, up to {_LONGEST_M:g}")
         return value
 
+    def numbers(self, *keys: str) -> list[float]:
+        return [self.number(key) for key in keys]
+
+    def list(self, key: str, count: int) -> list[float]:
+        values = self._content[key]
+        if not isinstance(values, list | tuple) or len(values) != count:
+            raise FileError(f"{self._name}.{key}: {quoted(str(values)[:80])}; need a list of {count} numbers")
+        return [_CheckedKeys({key: value}, {key: None}, self._name).number(key) for value in values]
+
     def length(self, key: str) -> float:
         value = self.number(key)
         if not value >= _SHORTEST_M:
@@ -145,13 +170,35 @@ def _require_known(content: Mapping[str, Any], known: Sequence[str] | Mapping[st
             raise FileError(f"{name + ': ' if name else ''}{quoted(str(key)[:80])}: no key of a board; {hint}")
 
 
-def _of_markers(content: Mapping[str, Any]) -> MarkerLayout:
+def _of_markers(content: Mapping[str, Any]) -> Board:
     entries = content["markers"]
     if not isinstance(entries, list) or not entries:
         raise FileError("markers: need a list of at least one")
     _require_count(len(entries))
     common = {key: content[key] for key in ("family", "size") if key in content}
-    return MarkerLayout(tuple(_marker(entry, common, f"markers[{index}]") for index, entry in enumerate(entries)))
+    named = [(entry, common, f"markers[{index}]") for index, entry in enumerate(entries)]
+    if any(key in entry for entry in entries if isinstance(entry, dict) for key in _OFF_PLANE):
+        return tuple(_placed(*each) for each in named)
+    return MarkerLayout(tuple(_marker(*each) for each in named))
+
+
+def _placed(entry: Any, common: Mapping[str, Any], name: str) -> BundleMarker:
+    own = _CheckedKeys({**common, **entry} if isinstance(entry, dict) else entry, _PLACED, name)
+    if _QUATERNION in entry and any(key in entry for key in _ANGLES):
+        raise FileError(f"{name}: {_QUATERNION} and angles; need one of them")
+    if _QUATERNION in entry:
+        place = rigid_transform([*own.numbers("x", "y", "z"), *own.list(_QUATERNION, 4)], f"{name}.{_QUATERNION}")
+    else:
+        angles = np.radians(own.numbers(*_ANGLES))
+        place = RigidTransform(from_euler(angles, "zyx"), np.array(own.numbers("x", "y", "z")))
+    covariance = np.reshape(own.list("covariance", 36), (6, 6))
+    scale = float(np.abs(covariance).max())
+    if not np.allclose(covariance, covariance.T, rtol=0, atol=_ROUNDING * scale) or (
+        np.linalg.eigvalsh((covariance + covariance.T) / 2).min() < -_ROUNDING * scale
+    ):
+        raise FileError(f"{name}.covariance: need 36 numbers of a symmetric matrix without negative eigenvalues")
+    marker = PlacedMarker(own.text("family"), own.whole("id", 0), own.length("size"))
+    return BundleMarker(marker, Pose(place.R, place.t, (covariance + covariance.T) / 2, 0.0))
 
 
 def _marker(entry: Any, common: Mapping[str, Any], name: str) -> PlacedMarker:
@@ -191,18 +238,35 @@ def _require_count(count: int) -> None:
         raise FileError(f"{count} markers; need at most {_MOST_MARKERS}")
 
 
-def _require_possible(layout: MarkerLayout) -> None:
+def _require_possible(board: Board) -> None:
     """Raise where markers are none of their family, look alike, are twice there, or overlap."""
     seen = set()
-    for marker in layout.markers:
+    for marker in markers_of(board):
         marker_cells(marker.family, marker.number)
         if not marker_distance(marker.family, marker.number):
             raise FileError(f"{marker}: turned, it looks like itself or another one of its family; need another id")
         if (marker.family, marker.number) in seen:
             raise FileError(f"{marker}: twice; need each marker once")
         seen.add((marker.family, marker.number))
-    for first, second in _overlapping(layout.markers):
+    overlapping = _overlapping(board.markers) if isinstance(board, MarkerLayout) else _coinciding(board)
+    for first, second in overlapping:
         raise FileError(f"{first} and {second} overlap; need places with white between them")
+
+
+def markers_of(board: Board) -> Sequence[PlacedMarker]:
+    """Return the markers of a board or a bundle."""
+    return board.markers if isinstance(board, MarkerLayout) else [each.marker for each in board]
+
+
+def _coinciding(markers: Sequence[BundleMarker]) -> Iterator[tuple[PlacedMarker, PlacedMarker]]:
+    """Yield those whose centres are nearer than half the smaller one and that face the same side."""
+    for index, first in enumerate(markers):
+        for second in markers[:index]:
+            away = float(np.linalg.norm(first.place.t - second.place.t))
+            if away < min(first.marker.size, second.marker.size) / 2 and (
+                float(first.place.R[:, 2] @ second.place.R[:, 2]) > _ALIKE
+            ):
+                yield second.marker, first.marker
 
 
 def _overlapping(markers: Sequence[PlacedMarker]) -> Iterator[tuple[PlacedMarker, PlacedMarker]]:

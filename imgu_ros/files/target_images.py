@@ -18,7 +18,9 @@ from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters, Targets
 from imgu_ros.errors import FileError, ParameterError, ShapeError
 from imgu_ros.files.board_file import BOARD_SUFFIXES, read_board
 from imgu_ros.image_files.images import read_image_file
+from imgu_ros.reference.bundle import BundleImage, bundle_image
 from imgu_ros.reference.marker import MarkerImage, board_image, marker_image
+from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
@@ -84,7 +86,15 @@ def _image_of(
     if isinstance(entry, _Marker):
         return marker_image(name, entry.family, entry.number, width_m)
     if entry.suffix.lower() in BOARD_SUFFIXES:
-        return board_image(name, read_board(entry, limits), width_m)
+        board = read_board(entry, limits)
+        if isinstance(board, MarkerLayout):
+            return board_image(name, board, width_m)
+        if width_m:
+            raise ParameterError(
+                f"targets.widths_m: {width_m:g} of {entry}: markers on several planes have no one width; need 0, and "
+                "sizes in the file"
+            )
+        return bundle_image(name, board)
     return TargetImage(name, _target_pixels(entry, on_warning, limits), width_m)
 
 
@@ -92,7 +102,7 @@ def _refuse_shared_markers(images: Sequence[TargetImage], entries: Sequence[_Mar
     """Raise where a marker belongs to two targets: which one is seen could not be told."""
     owners: dict[str, tuple[TargetImage, _Marker | Path]] = {}
     for image, entry in zip(images, entries, strict=True):
-        for marker in image.layout.markers if isinstance(image, MarkerImage) else ():
+        for marker in _markers_of(image):
             if str(marker) in owners:
                 other, whose = owners[str(marker)]
                 raise ParameterError(
@@ -100,6 +110,12 @@ def _refuse_shared_markers(images: Sequence[TargetImage], entries: Sequence[_Mar
                     "each marker in one target"
                 )
             owners[str(marker)] = image, entry
+
+
+def _markers_of(image: TargetImage) -> Sequence[PlacedMarker]:
+    if isinstance(image, BundleImage):
+        return [each.marker for each in image.markers]
+    return image.layout.markers if isinstance(image, MarkerImage) else ()
 
 
 def _words(image: TargetImage, entry: _Marker | Path) -> str:

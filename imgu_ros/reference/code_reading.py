@@ -33,6 +33,10 @@ _CELL_PX = 4.0
 _FEWEST = 12
 #: A cell supports or contradicts a code when it is nearer to one colour than to the other by this, 1: as the one.
 _CLEARLY = 0.2
+#: Nearer to a cell without its colour than this, in cells, something covers what is compared.
+_BESIDE = 1.5
+#: Correlation of the cells with those of another marker of the family from which on it is that one.
+_AS_ANOTHER = 0.95
 #: Share of the cells of a marker of a board that have their colour where nothing covers it.
 _READ = 0.85
 #: Grey values by which the cells of a marker differ at least.
@@ -118,7 +122,11 @@ def read_code(frame: FrameImage, code: MarkerCode, H: Matrix3, camera: Camera | 
     read = (code.cells ^ wrong)[1:-1, 1:-1]
     count = int(np.count_nonzero(wrong))
     # Another one's cells are read where another one is; what covers a marker has none's.
-    is_other = count > code.distance // 2 and hidden == 0 and code.nearest_other(read) <= code.distance // 4
+    is_other = (
+        count > code.distance // 2
+        and hidden == 0
+        and (code.nearest_other(read) <= code.distance // 4 or code.likeness_of_others(s) > _AS_ANOTHER)
+    )
     ratio = np.where(in_view, np.clip(likeness, -1, 1) * _MOST, 0.0)
     return CodeReading(
         0.0 if is_other else min(shares),
@@ -136,7 +144,9 @@ def read_code(frame: FrameImage, code: MarkerCode, H: Matrix3, camera: Camera | 
 def where_read(
     frame: FrameImage, codes: Sequence[MarkerCode], H: Matrix3, camera: Camera | None, template_xy: Points
 ) -> Mask:
-    """Return which places are at markers whose codes are read, (N,); all where none is.
+    """Return which places are at markers whose codes are read, and not at cells without their colour, (N,).
+
+    All where no code is read.
 
     Parameters
     ----------
@@ -146,12 +156,23 @@ def where_read(
     """
     reads = [read_code(frame, code, H, camera) for code in codes]
     read = np.array([each is not None and each.share >= _READ for each in reads])
-    if read.all() or not read.any():
+    if not read.any():
         return np.ones(len(template_xy), bool)
     corners = np.stack([code.corners for code in codes])
     centres, half = corners.mean(axis=1), np.ptp(corners, axis=1)[:, 0] / 2
-    away = np.abs(template_xy[:, None] - centres).max(axis=2) / half
-    return np.asarray(read[away.argmin(axis=1)])
+    nearest = (np.abs(template_xy[:, None] - centres).max(axis=2) / half).argmin(axis=1)
+    seen: Mask = read[nearest]
+    for index in np.flatnonzero(read).tolist():
+        found = reads[index]
+        assert found is not None
+        row, column = np.nonzero(found.log_ratio < 0)
+        own = np.flatnonzero(nearest == index)
+        if len(row) and len(own):
+            back = np.linalg.inv(codes[index].template_from_cells)
+            at = template_xy[own] @ back[:2, :2].T + back[:2, 2]
+            away = np.abs(at[:, None] - np.column_stack((column + 0.5, row + 0.5))).max(axis=2).min(axis=1)
+            seen[own] = away > _BESIDE
+    return seen
 
 
 def _share(supports: Mask, telling: Mask) -> float:

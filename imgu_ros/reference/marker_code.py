@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from imgu_ros.types import Floats, Mask, Matrix3, Points
-from imgu_ros.vision.markers.dictionaries import marker_cells, marker_distance, nearest_marker
+from imgu_ros.vision.markers.dictionaries import marker_cells, marker_codes, marker_distance, nearest_marker
 
 #: Cells of white about the black square that are known.
 MARGIN = 1
@@ -71,6 +71,16 @@ class MarkerCode:
         pairs = np.array([(x, y) for y in BLURS for x in BLURS])
         return np.stack(looks).reshape(len(looks), -1), pairs
 
+    def likeness_of_others(self, brightness: Floats) -> float:
+        """Return the correlation of what is seen, (N^2,) with mean 0, with the likest other marker, turned or not."""
+        length = float(np.linalg.norm(brightness))
+        if not length > 0:
+            return 0.0
+        looks = _looks_of_all(self.family)
+        likeness = (looks.reshape(-1, brightness.size) @ brightness).reshape(looks.shape[:-1]) / length
+        likeness[:, 0, self.number] = -1
+        return float(likeness.max())
+
     def nearest_other(self, read: Mask) -> int:
         """Return in how many cells what was read, (n, n) inner cells, differs from the nearest other marker."""
         return nearest_marker(self.family, self.number, read)
@@ -87,3 +97,25 @@ def blurred_cells(side: int, sigma: float) -> Floats:
     weights: Floats = np.diff(below, axis=2).mean(axis=1)
     weights.flags.writeable = False
     return weights
+
+
+@lru_cache(maxsize=8)
+def _looks_of_all(family: str) -> Floats:
+    """Return how the cells of all markers of a family look, turned, blurred alike along both axes: (B, 4, count, N^2).
+
+    Each of mean 0 and length 1.
+    """
+    white = np.pad(marker_codes(family), ((0, 0), (1, 1), (1, 1)))
+    side, looks = white.shape[1], []
+    for sigma in BLURS:
+        spread = blurred_cells(side, sigma)
+        for turn in range(4):
+            turned = np.pad(
+                np.rot90(white, turn, axes=(1, 2)), ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN)), constant_values=True
+            )
+            looks.append((spread @ (2.0 * turned - 1) @ spread.T).reshape(len(white), -1))
+    every = np.stack(looks).reshape(len(BLURS), 4, len(white), -1)
+    every -= every.mean(axis=-1, keepdims=True)
+    every /= np.linalg.norm(every, axis=-1, keepdims=True)
+    every.flags.writeable = False
+    return every

@@ -7,6 +7,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+import numpy as np
+
 from imgu_ros.frame import Frame
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located
@@ -16,6 +18,7 @@ from imgu_ros.reference.self_similarity import Copy, copies_of
 from imgu_ros.reference.templates import LightTemplates, TemplateOctave
 from imgu_ros.result import ReferenceResult
 from imgu_ros.types import Points
+from imgu_ros.vision.camera.rigid import RigidTransform
 
 
 class Reference(ABC):
@@ -91,6 +94,25 @@ class Reference(ABC):
         EstimationError
             If no view of the reference has this homography.
         """
+
+    @property
+    def parts(self) -> tuple[Reference, ...]:
+        """What is found and tracked of it: itself, or several planes of a rigid thing."""
+        return (self,)
+
+    def place_of(self, part: str) -> RigidTransform:
+        """Return `reference_from_part`."""
+        return RigidTransform(np.eye(3), np.zeros(3))
+
+    def combined(self, found: Mapping[str, ReferenceResult], frame: Frame) -> ReferenceResult:
+        """Return the result of the reference by those of its parts, of which those that were not found may be absent.
+
+        Parameters
+        ----------
+        found : results of a frame, by the names of the parts
+        frame : gives the camera
+        """
+        return found[self.name]
 
     def require_detectable(self, min_inliers: int) -> None:  # noqa: B027 (most kinds can always be detected)
         """Compute what detection compares frames with.

@@ -8,13 +8,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from imgu_ros.config.parameters import LimitsParameters, TargetsParameters
 from imgu_ros.errors import FileError, ParameterError
 from imgu_ros.files.board_file import read_board
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.image_files.images import write_image
+from imgu_ros.reference.bundle import BundleImage
 from imgu_ros.reference.marker import BoardImage
+from imgu_ros.reference.marker_layout import MarkerLayout
 
 pytestmark = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
 
@@ -35,13 +38,16 @@ def loaded(path: Path, *others: str, **more: object) -> BoardImage:
 
 
 def test_a_list_of_markers(tmp_path: Path) -> None:
-    first, second = read_board(written(tmp_path, TWO)).markers
+    layout = read_board(written(tmp_path, TWO))
+    assert isinstance(layout, MarkerLayout)
+    first, second = layout.markers
     assert (str(first), first.size, first.x, first.y, first.quarter_turns) == ("tag36h11:1", 0.1, 0, 0, 0)
     assert (str(second), second.size, second.x, second.y, second.quarter_turns) == ("tag36h11:2", 0.05, 0.2, 0, 3)
 
 
 def test_a_grid_is_numbered_row_by_row_about_the_origin(tmp_path: Path) -> None:
     layout = read_board(written(tmp_path, GRID))
+    assert isinstance(layout, MarkerLayout)
     assert [str(marker) for marker in layout.markers] == [f"tag36h11:{n}" for n in range(4, 10)]
     places = [(marker.x, marker.y) for marker in layout.markers]
     assert np.allclose(places, [(-0.1, 0.05), (0, 0.05), (0.1, 0.05), (-0.1, -0.05), (0, -0.05), (0.1, -0.05)])
@@ -148,3 +154,64 @@ def test_reading_is_bounded(tmp_path: Path) -> None:
         read_board(tmp_path / "board.yaml")
     with pytest.raises(FileError, match="missing.yaml"):
         read_board(tmp_path / "missing.yaml")
+
+
+BUNDLE = """
+family: tag36h11
+size: 0.08
+markers:
+- {id: 0, z: 0.05}
+- {id: 1, x: 0.05, quaternion: [0, 0.70710678118, 0, 0.70710678118]}
+- {id: 2, y: 0.05, roll_deg: -90, pitch_deg: 30, yaw_deg: 10}
+"""
+
+
+def test_a_bundle(tmp_path: Path) -> None:
+    """SciPy's rotations are the second method."""
+    (image,) = load_target_images(TargetsParameters(images=(str(written(tmp_path, BUNDLE)),)))
+    assert isinstance(image, BundleImage)
+    assert (image.kind, image.name, image.width_m) == ("bundle", "board", 0.08)
+    first, second, third = image.markers
+    assert [str(each.marker) for each in image.markers] == ["tag36h11:0", "tag36h11:1", "tag36h11:2"]
+    assert np.allclose(first.place.transform.matrix, [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]])
+    assert np.allclose(second.place.R[:, 2], (1, 0, 0)) and np.allclose(second.place.t, (0.05, 0, 0))
+    assert np.allclose(third.place.R, Rotation.from_euler("xyz", (-90, 30, 10), degrees=True).as_matrix())
+    assert not any(each.place.covariance.any() for each in image.markers)
+
+
+def test_a_bundle_has_no_one_width(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match=r"targets.widths_m: 0.1 of .*board.yaml: markers on several planes"):
+        load_target_images(TargetsParameters(images=(str(written(tmp_path, BUNDLE)),), widths_m=(0.1,)))
+
+
+def test_a_marker_of_a_bundle_belongs_to_one_target(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="tag36h11:2 belongs to both board .*board.yaml and target tag36h11_2"):
+        load_target_images(TargetsParameters(images=(str(written(tmp_path, BUNDLE)), "tag36h11:2")))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[0, 0.7", "[0, 0.7, 0.7", r"markers\[1\].quaternion: .*; need a list of 4 numbers"),
+        ("[0, 0.70710678118, 0, 0.70710678118]", "[0, 0, 0, 0]", r"markers\[1\].quaternion: .*unit length"),
+        ("[0, 0.7", "[x, 0.7", r"markers\[1\].quaternion: 'x'; need a number"),
+        ("roll_deg", "quaternion: [0, 0, 0, 1], roll_deg", r"markers\[2\]: quaternion and angles; need one of them"),
+        ("z: 0.05", "z: 0.05, turn_deg: 90", r"markers\[0\]: 'turn_deg': no key of a board"),
+        ("z: 0.05", "z: wide", r"markers\[0\].z: 'wide'; need a number"),
+        ("z: 0.05", "z: 0.05, covariance: [1, 2]", r"markers\[0\].covariance: .*; need a list of 36 numbers"),
+        (
+            "z: 0.05",
+            f"z: 0.05, covariance: {[1] * 6 + [2] * 30}",
+            r"markers\[0\].covariance: need 36 numbers of a symm",
+        ),
+        (
+            "id: 1, x: 0.05, quaternion: [0, 0.70710678118, 0, 0.70710678118]",
+            "id: 1, z: 0.06",
+            "0 and tag36h11:1 overl",
+        ),
+        ("id: 1", "id: 0", "tag36h11:0: twice"),
+    ],
+)
+def test_what_is_wrong_with_a_bundle(tmp_path: Path, old: str, new: str, words: str) -> None:
+    with pytest.raises(FileError, match=words):
+        read_board(written(tmp_path, BUNDLE.replace(old, new, 1)))
