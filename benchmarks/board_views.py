@@ -166,9 +166,13 @@ def cube_pose(
     """Return camera_from_thing from any side but from below, the whole cube in view."""
     corners = side / 2 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     while True:
-        turn = rng.standard_normal((3, 3))
-        R, _ = np.linalg.qr(turn)
-        R *= np.sign(np.linalg.det(R))
+        # Uniform over all rotations (Shoemake 1992): a quaternion of normal numbers.
+        w, x, y, z = (q := rng.standard_normal(4)) / np.linalg.norm(q)
+        R = np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ])  # fmt: skip
         ray = np.linalg.solve(K, np.array((*rng.uniform((0, 0), (WIDTH, HEIGHT)), 1.0)))
         t = ray / np.linalg.norm(ray) * rng.uniform(*distance)
         # The direction to the camera, in the thing.

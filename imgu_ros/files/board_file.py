@@ -275,3 +275,32 @@ def _overlapping(markers: Sequence[PlacedMarker]) -> Iterator[tuple[PlacedMarker
             least = (first.size + second.size) / 2 * (1 - _ROUNDING)
             if max(abs(first.x - second.x), abs(first.y - second.y)) < least:
                 yield second, first
+
+
+def bundle_text(markers: Sequence[BundleMarker], remarks: Mapping[str, str], head: Sequence[str] = ()) -> str:
+    """Return the text of a board file; numbers round-trip.
+
+    Parameters
+    ----------
+    markers : of a bundle
+    remarks : for people, by marker
+    head : for people, lines at the top
+    """
+    lines = [f"# {line}" for line in head] + ["markers:"]
+    for each in markers:
+        numbers = each.place.transform.numbers().tolist()
+        lines += [f"# {remarks[str(each.marker)]}"] if str(each.marker) in remarks else []
+        x, y, z = (_shown(value) for value in numbers[:3])
+        lines.append(f"- family: {each.marker.family}")
+        lines.append(f"  id: {each.marker.number}")
+        lines.append(f"  size: {_shown(each.marker.size)}")
+        lines += [f"  x: {x}", f"  y: {y}", f"  z: {z}"]
+        lines.append(f"  quaternion: [{', '.join(map(_shown, numbers[3:]))}]")
+        if each.place.covariance.any():
+            rows = [", ".join(map(_shown, row)) for row in each.place.covariance.tolist()]
+            lines.append(f"  covariance: [{(',' + chr(10) + '    ').join(rows)}]")
+    return "\n".join(lines) + "\n"
+
+
+def _shown(value: float) -> str:
+    return repr(float(value) + 0.0)

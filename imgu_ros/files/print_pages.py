@@ -54,6 +54,7 @@ class PrintJob:
     size_mm : width and height of the picture
     width_m : what is to be entered as the target's width
     words : lines of text for the margin
+    width_name : what that width is called, for the words about the ruler
     cells : of markers: they are drawn as shapes, and `pixels` are not; mm from the upper left corner, y up
     """
 
@@ -61,6 +62,7 @@ class PrintJob:
     size_mm: tuple[float, float]
     width_m: float
     words: Sequence[str]
+    width_name: str = "width_m"
     cells: Sequence[CellBlock] = ()
 
 
@@ -246,7 +248,7 @@ def _draw_ruler(axes: Any, tile: Tile) -> None:
 def _draw_words(axes: Any, job: PrintJob, tile: Tile) -> None:
     length = _RULER_MM
     lines = [
-        f"Measure this ruler: {length:g} mm. If it is L mm long, width_m is {job.width_m:g} x L / {length:g}.",
+        f"Measure this ruler: {length:g} mm. If it is L mm long, {job.width_name} is {job.width_m:g} x L / {length:g}.",
         *job.words,
     ]
     if tile.columns * tile.rows > 1:

@@ -267,3 +267,24 @@ def test_a_printed_charuco_board_is_opencvs(tmp_path: Path) -> None:
     seen = cv2.resize(page[top : top + height, left : left + width], expected.shape[::-1], interpolation=cv2.INTER_AREA)
     assert np.abs(seen.astype(int) - expected).mean() < 12
     assert np.corrcoef(seen.ravel(), expected.ravel())[0, 1] > 0.95
+
+
+def test_a_bundle_is_printed_marker_by_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if not hasattr(cv2, "aruco"):
+        pytest.skip("no aruco module in this OpenCV")
+    board = tmp_path / "cube.yaml"
+    board.write_text(
+        "family: tag36h11\nmarkers: [{id: 3, size: 0.08, z: 0.05}, {id: 4, size: 0.06, x: 0.05, yaw_deg: 90}]"
+    )
+    pages = pages_of(made(tmp_path, board), 100)
+    said = capsys.readouterr().out
+    assert "cube/tag36h11:3: 80 x 80 mm" in said and "cube/tag36h11:4: 60 x 60 mm" in said
+    assert f"parameters: -p targets.images:={board}\n" in said
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    for page, number, side in zip(pages, (3, 4), (80, 60), strict=True):
+        corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(cv2.cvtColor(page, cv2.COLOR_RGB2GRAY))
+        assert numbers.ravel().tolist() == [number]
+        sides = np.linalg.norm(np.diff(corners[0][0], axis=0, append=corners[0][0][:1]), axis=1)
+        np.testing.assert_allclose(sides / 100 * 25.4, side, rtol=0.015)
+    assert main(["make", str(board), "--width-m", "0.1", "--out", str(tmp_path / "x.pdf")]) == 1
+    assert "markers on several planes have no one width" in capsys.readouterr().err

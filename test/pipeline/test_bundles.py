@@ -67,7 +67,7 @@ def cube_scene(markers: Sequence[BundleMarker], R: Floats, t: Floats, hidden: Se
 def view(yaw_deg: float, pitch_deg: float, z: float, x: float = 0.02, y: float = 0.01) -> tuple[Floats, Floats]:
     """Return camera_from_thing: turned about its upright axis, then seen from above."""
     R = from_euler((0.0, math.radians(yaw_deg), 0.0), "zyx")
-    return from_euler((math.pi + math.radians(pitch_deg), 0.0, 0.0), "zyx") @ R, np.array((x, y, z))
+    return from_euler((math.pi - math.radians(pitch_deg), 0.0, 0.0), "zyx") @ R, np.array((x, y, z))
 
 
 def localizer(markers: Sequence[BundleMarker], parameters: Parameters | None = None) -> Localizer:
