@@ -126,7 +126,8 @@ def _of_one(result: ReferenceResult, seen: SeenPlane) -> ReferenceResult:
         J = np.eye(6)
         J[:3, 3:] = -_cross(result.solutions[0].R @ back.t)
         test = replace(test, pose_by_camera=J @ test.pose_by_camera)
-    return replace(result, pose=None if result.pose is None else moved(result.pose), solutions=solutions, calibration=test)
+    own = None if result.pose is None else moved(result.pose)
+    return replace(result, pose=own, solutions=solutions, calibration=test)
 
 
 class _PlaneResiduals:

@@ -216,10 +216,17 @@ def noise_of(e: Singles, slope2: Singles, brightness: Singles, usable: Mask) -> 
     ----------
     e, slope2 : (N, S) residuals of the samples, and the squared slope of their light
     brightness, usable : (N, S) of each sample, and whether it counts
+
+    Raises
+    ------
+    NoConsensus
+        If no sample has more slope than the others.
     """
     some = np.flatnonzero(usable)[::_NOISE_STRIDE]
     e2, s2, light = e.ravel()[some] ** 2, slope2.ravel()[some], brightness.ravel()[some]
-    steep = s2 > median_of(s2)
+    steep = s2 > median_of(s2) if len(s2) else np.zeros(0, bool)
+    if not steep.any():
+        raise NoConsensus("sites: they do not vary as the picture does")
     noise = max(median_of(e2[~steep] / light[~steep]) * _OF_MEDIAN_SQUARE, 1e-9)
     over = (e2[steep] - np.float32(noise / _OF_MEDIAN_SQUARE) * light[steep]) / np.maximum(s2[steep], 1e-12)
     registration = max(median_of(over) * _OF_MEDIAN_SQUARE, 1e-6)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.raw_samples import Lens, LightLevel, Mosaic, RowScan, light_levels
+from imgu_ros.track.patch_equations import noise_of
 from imgu_ros.track.site_alignment import SiteAlignment, SitesFit
 
 WIDTH, HEIGHT = 320, 240
@@ -439,3 +440,11 @@ def test_the_same_samples_give_the_same_numbers() -> None:
     first, second = v.fit(), v.fit()
     np.testing.assert_array_equal(first.H, second.H)
     np.testing.assert_array_equal(first.information, second.information)
+
+
+def test_samples_that_all_have_the_same_slope_agree_on_nothing() -> None:
+    """As where a transfer curve that was tried makes everything one value."""
+    flat = np.zeros((6, 100), np.float32)
+    for usable in (np.ones((6, 100), bool), np.zeros((6, 100), bool)):
+        with pytest.raises(NoConsensus, match="do not vary"):
+            noise_of(flat, flat, flat + np.float32(0.5), usable)
