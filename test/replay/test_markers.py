@@ -58,11 +58,21 @@ def test_a_list_in_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert (out / "poses_tag36h11_7.tum").exists()
 
 
-def test_stage_nodes_refuse_markers() -> None:
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("", "marker"),
+        ("grid: {family: tag36h11, rows: 1, columns: 2, size: 0.1, gap: 0.02}", "board"),
+        ("markers: [{family: tag36h11, id: 0, size: 0.1, z: 0.1}]", "bundle"),
+    ],
+)
+def test_stage_nodes_refuse_markers_and_boards(tmp_path: Path, text: str, kind: str) -> None:
     pytest.importorskip("rclpy")
     from imgu_ros.files.target_images import load_target_images
     from imgu_ros.ros.stages.matcher import MatcherStage
 
-    parameters = parameters_from({"targets.images": ["tag36h11:7"]})
-    with pytest.raises(ParameterError, match="tag36h11_7 is a marker; stage nodes know pictures alone"):
+    (tmp_path / "wall.yaml").write_text(text, encoding="utf-8")
+    entry, name = (str(tmp_path / "wall.yaml"), "wall") if text else ("tag36h11:7", "tag36h11_7")
+    parameters = parameters_from({"targets.images": [entry]})
+    with pytest.raises(ParameterError, match=f"{name} is a {kind}; stage nodes know pictures alone"):
         MatcherStage().use(parameters, load_target_images(parameters.targets))
