@@ -12,6 +12,8 @@ other: the same, one of its tags exchanged for another id: no pose may go out.
 charuco: ChArUco boards of 5 x 4 squares of 40 mm, markers of 30 mm, 0.6 to 1.5 m away.
 cube: a cube of 100 mm with tags of 80 mm on five faces, 0.5 to 2 m away, from any side but from below. A flip is a
     rotation that is off by 0.3 rad or more.
+measured: where the tags of such a cube are on it, by 24 frames from any side but from below, 0.4 to 0.8 m away, one
+    cube for ten views: each of its other tags relative to the first counts as a view.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from print_views import RAW_PARAMETERS
 
 from imgu_ros.config.values import parameters_from
 from imgu_ros.localizer import Localizer
+from imgu_ros.pose.bundle_measurement import measure_bundle
 from imgu_ros.reference.bundle import BundleMarker, bundle_image
 from imgu_ros.reference.marker import board_image, marker_image
 from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker, charuco_layout
@@ -56,6 +59,8 @@ FAMILY, COUNT = "tag36h11", 587
 SIZE, GAP, CUBE = 0.08, 0.03, 0.1
 #: A rotation that is off by more is the other solution of a plane, rad.
 _FLIPPED = 0.3
+#: Frames by which a thing is measured.
+_MEASURED_FRAMES = 24
 #: Bound of the squared error in units of the covariance, 95 % of six degrees of freedom.
 _INSIDE = 12.59
 
@@ -89,11 +94,15 @@ class BoardFigures:
         if result.pose is None:
             self.ambiguous += 1
             return
-        turn = cv2.Rodrigues(R @ result.pose.R.T)[0].ravel()
-        error = np.concatenate((t - result.pose.t, turn))
+        self.add(result.pose, R, t)
+
+    def add(self, pose: Pose, R: Floats, t: Floats) -> None:
+        """Add a pose and its truth."""
+        turn = cv2.Rodrigues(R @ pose.R.T)[0].ravel()
+        error = np.concatenate((t - pose.t, turn))
         self.flips += bool(np.linalg.norm(turn) > _FLIPPED)
         self.errors_mm.append(1e3 * float(np.linalg.norm(error[:3])))
-        self.nees.append(float(error @ np.linalg.solve(result.pose.covariance, error)))
+        self.nees.append(float(error @ np.linalg.solve(pose.covariance, error)))
 
     def row(self) -> dict[str, float | int | None]:
         """Return the figures by name."""
@@ -198,8 +207,25 @@ def cube(rng: np.random.Generator, figures: BoardFigures) -> None:
     figures.take(processed(frame, [bundle_image("cube", markers)]).first, R, t)
 
 
+def measured(rng: np.random.Generator, figures: BoardFigures) -> None:
+    """Add what is measured of a cube."""
+    names = [str(number) for number in rng.permutation(COUNT)[:5]]
+    images = [marker_image(name, FAMILY, int(name), SIZE) for name in names]
+    frames = []
+    for _ in range(_MEASURED_FRAMES):
+        R, t = cube_pose(rng, CUBE, (0.4, 0.8))
+        result = processed(cube_frame(rng, [int(name) for name in names], CUBE, SIZE, R, t), images)
+        frames.append({found.name: found.pose for found in result if found.pose is not None})
+    (R_first, t_first), *others = cube_places(CUBE)
+    found = measure_bundle(frames, names)
+    for name, (R, t) in zip(names[1:], others, strict=True):
+        figures.views += 1
+        figures.found += 1
+        figures.add(found.markers[name].place, R_first.T @ R, R_first.T @ (t - t_first))
+
+
 STUDIES: dict[str, Callable[[np.random.Generator, BoardFigures], None]] = {
-    each.__name__: each for each in (board, covered, other, charuco, cube)
+    each.__name__: each for each in (board, covered, other, charuco, cube, measured)
 }
 
 
@@ -217,7 +243,7 @@ def main() -> None:
     for index, (name, add) in enumerate(STUDIES.items()):
         if name in (arguments.study or STUDIES):
             figures = BoardFigures()
-            for view in range(arguments.views):
+            for view in range(arguments.views // 10 if name == "measured" else arguments.views):
                 add(np.random.default_rng([arguments.seed, index, view]), figures)
             document[name] = {"seed": arguments.seed, **figures.row()}
             print(name, "  ".join(f"{key} {value}" for key, value in document[name].items()), flush=True)

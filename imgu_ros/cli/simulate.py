@@ -225,9 +225,13 @@ def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
     if arguments.targets is not None:
         raise ParameterError(f"targets: {arguments.targets} with --template; need one or the other")
     from imgu_ros.config.parameters import TargetsParameters
+    from imgu_ros.files.board_file import BOARD_SUFFIXES
     from imgu_ros.files.target_images import load_target_images
 
     paths = tuple(str(path) for path in arguments.template)
+    for path in paths:
+        if Path(path).suffix.lower() in BOARD_SUFFIXES:
+            raise ParameterError(f"--template: {path}: a board; need pictures")
     return load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)), warn)
 
 

@@ -16,7 +16,7 @@ from imgu_ros.errors import FileError, ShapeError, nearest_name
 from imgu_ros.file_access.bounded_reading import file_bytes
 from imgu_ros.files.yaml_tree import yaml_tree
 from imgu_ros.reference.bundle import BundleMarker
-from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker, charuco_layout, grid_layout
+from imgu_ros.reference.marker_layout import LayoutTemplate, MarkerLayout, PlacedMarker, charuco_layout, grid_layout
 from imgu_ros.shown_text import quoted
 from imgu_ros.vision.camera.euler import from_euler
 from imgu_ros.vision.camera.pose import Pose
@@ -45,6 +45,8 @@ _PLACED = {
 _MOST_MARKERS = 1000
 #: Lengths beyond are a mistaken unit, m.
 _SHORTEST_M, _LONGEST_M = 1e-4, 1e4
+#: Smaller cells of a template lose their edges, px.
+_LEAST_CELL_PX = 2.0
 #: Normals whose cosine is larger face the same side.
 _ALIKE = 0.5
 #: Edges that overlap by less are rounding, as a share of a marker.
@@ -251,6 +253,11 @@ def _require_possible(board: Board) -> None:
     overlapping = _overlapping(board.markers) if isinstance(board, MarkerLayout) else _coinciding(board)
     for first, second in overlapping:
         raise FileError(f"{first} and {second} overlap; need places with white between them")
+    if isinstance(board, MarkerLayout) and (cell_px := LayoutTemplate(board).cell_px) < _LEAST_CELL_PX:
+        raise FileError(
+            f"{board.width:g} m wide: cells of its smallest marker would have {cell_px:.2g} px in the template; need "
+            f"at least {_LEAST_CELL_PX:g}: a smaller board, or several"
+        )
 
 
 def markers_of(board: Board) -> Sequence[PlacedMarker]:

@@ -20,6 +20,8 @@ CELL_PX = 24
 #: Pixels of a board's template and of a level in linear light: many small cells are drawn coarser, so that neither
 #: takes more than some tens of MB.
 _MOST_PX, _MOST_LIGHT_PX = 2e6, 8e6
+#: Longest side of them, px: OpenCV samples images of at most 32767 px.
+_LONGEST_PX, _LONGEST_LIGHT_PX = 8000, 32000
 #: Px of a level in linear light in one px of the template: the finest has four px in one of a frame of which a marker
 #: fills 200 px.
 _LIGHT_SCALES = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
@@ -177,22 +179,24 @@ class LayoutTemplate:
     size : width and height, px
     outline : left, top, right and bottom of what is black, px
     origin : x and y of the layout's origin, px
+    cell_px : side of the smallest cell, px
     """
 
     def __init__(self, layout: MarkerLayout) -> None:
         self._layout, self._blocks = layout, layout.blocks
         left, top, right, bottom = layout.box
-        area = (right - left + 2 * layout.margin) * (top - bottom + 2 * layout.margin)
+        width, height = right - left + 2 * layout.margin, top - bottom + 2 * layout.margin
         cell = min(block.side for block in self._blocks)
-        self._scale = min(CELL_PX / cell, math.sqrt(_MOST_PX / area))
+        self._scale = min(CELL_PX / cell, math.sqrt(_MOST_PX / (width * height)), _LONGEST_PX / max(width, height))
+        self.cell_px = self._scale * cell
         self._margin = math.ceil(self._scale * layout.margin - _ROUNDED_PX)
         self._left, self._top = left, top
         low = self._margin - 0.5
         x, y = self._px(np.array((right, 0.0)), np.array((bottom, 0.0))).T
         self.outline = low, low, float(x[0]), float(y[0])
         self.origin = float(x[1]), float(y[1])
-        width, height = (math.ceil(end + 0.5 - _ROUNDED_PX) + self._margin for end in self.outline[2:])
-        self.size = width, height
+        columns, rows = (math.ceil(end + 0.5 - _ROUNDED_PX) + self._margin for end in self.outline[2:])
+        self.size = columns, rows
 
     def _px(self, x: Floats, y: Floats) -> Points:
         """Return template px (N, 2) of places on the plane, y up."""
@@ -203,7 +207,12 @@ class LayoutTemplate:
     def light_scales(self) -> list[float]:
         """Px of each level in linear light in one px of the template, fine to coarse."""
         width, height = self.size
-        return [scale for scale in _LIGHT_SCALES if scale <= 1 or width * height * scale**2 <= _MOST_LIGHT_PX]
+        return [
+            scale
+            for scale in _LIGHT_SCALES
+            if scale <= 1
+            or (width * height * scale**2 <= _MOST_LIGHT_PX and max(width, height) * scale <= _LONGEST_LIGHT_PX)
+        ]
 
     def drawn(self, scale: float) -> Singles:
         """Return the picture, 0 to 1, `scale` px in one of the template: of each the share that is white, (H, W)."""

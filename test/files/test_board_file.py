@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imgu_ros.config.parameters import LimitsParameters, TargetsParameters
 from imgu_ros.errors import FileError, ParameterError
-from imgu_ros.files.board_file import read_board
+from imgu_ros.files.board_file import board_of, markers_of, read_board
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.image_files.images import write_image
 from imgu_ros.reference.bundle import BundleImage
@@ -131,6 +134,7 @@ def test_a_marker_belongs_to_one_target(tmp_path: Path) -> None:
         ("markers: [{id: 3, size: 0.1}]", r"markers\[0\]: no family; need family, id, size"),
         ("markers: [7]", r"markers\[0\]: '7'; need family"),
         ("markers: [{family: aruco_original, id: 1023, size: 0.1}]", "turned, it looks like itself"),
+        (TWO.replace("x: 0.2", "x: 400"), "400.075 m wide: cells of its smallest marker would have 0.12 px"),
         ("charuco: {family: aruco_4x4_50, columns: 5, rows: 7, square: 0.03, size: 0.03}", "charuco.size: 0.03"),
         ("charuco: {family: aruco_4x4_50, columns: 50, rows: 7, square: 0.03, size: 0.02}", "no such id; need 0 to 49"),
         ("charuco: {family: aruco_4x4_50, columns: 5, rows: 7, square: 0.03, size: 0.02, legacy: 2}", "true or false"),
@@ -215,3 +219,31 @@ def test_a_marker_of_a_bundle_belongs_to_one_target(tmp_path: Path) -> None:
 def test_what_is_wrong_with_a_bundle(tmp_path: Path, old: str, new: str, words: str) -> None:
     with pytest.raises(FileError, match=words):
         read_board(written(tmp_path, BUNDLE.replace(old, new, 1)))
+
+
+def test_a_long_row_of_markers_is_sampled_within_the_limits_of_opencv(tmp_path: Path) -> None:
+    image = loaded(written(tmp_path, "grid: {family: tag36h11, rows: 1, columns: 300, size: 0.08, gap: 0.02}"))
+    assert max(image.pixels.shape) < 8010
+    scales = image.template.light_scales
+    assert max(image.template.size) * max(scales) < 32767
+    finest = image.template.drawn(max(scales))
+    assert 0.3 < finest.mean() < 0.8
+
+
+TEXTS = st.sampled_from(["tag36h11", "0", "3", "0.1", "-1", "nan", "1e9", "true", "x", ""])
+KEYS = st.sampled_from(
+    ["markers", "grid", "charuco", "family", "id", "size", "x", "z", "rows", "columns", "gap", "square", "quaternion",
+     "covariance", "legacy", "first_id", "turn_deg"]
+)  # fmt: skip
+TREES = st.recursive(
+    TEXTS | st.none(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=6),
+    max_leaves=30,
+)
+
+
+@given(TREES)
+@settings(max_examples=300, deadline=None)
+def test_whatever_a_file_holds_it_is_a_board_or_an_error(content: object) -> None:
+    with contextlib.suppress(FileError):
+        assert markers_of(board_of(content, "board.yaml"))
