@@ -71,10 +71,11 @@ def rigid_pose(result: ReferenceResult, seen: Sequence[SeenPlane], camera: Camer
         solution.transform.after(each.place.transform.inverse()) for each in seen for solution in each.found.solutions
     ]
     try:
-        fits = _distinct(starts, [_PlaneResiduals(each, camera.K, starts[0]) for each in seen] if starts else [])
-    except ImguError as error:
-        fits, reason = [], no_pose(error) if isinstance(error, EstimationError) else str(error)
-        return replace(result, pose=None, solutions=(), pose_status=PoseStatus.NONE, reason=reason)
+        if not starts:
+            raise DegenerateConfiguration("planes: none has a pose")
+        fits = _distinct(starts, [_PlaneResiduals(each, camera.K, starts[0]) for each in seen])
+    except EstimationError as error:
+        return replace(result, pose=None, solutions=(), pose_status=PoseStatus.NONE, reason=no_pose(error))
     freedom = sum(each.freedom for each in fits[0].planes)
     ambiguity = 0.0
     if len(fits) > 1:
@@ -210,16 +211,17 @@ class _PlaneResiduals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RigidFit:
-    """A pose of least squares: its squares, their derivative, and the planes."""
+    """A pose of least squares: its squares, the residuals' derivative, its covariance by them, and the planes."""
 
     transform: RigidTransform
     squared: float
     by_step: Floats
+    covariance: Floats
     planes: Sequence[_PlaneResiduals]
 
     def pose(self, rms_px: float) -> Pose:
         """Return the pose with its covariance, which grows where the planes contradict each other (Birge 1932)."""
-        covariance = np.linalg.inv(self.by_step.T @ self.by_step)
+        covariance = self.covariance
         freedom = len(self.by_step) - 6
         part = 2 / (9 * freedom)
         if self.squared > freedom * (1 - part + _QUANTILE_99 * math.sqrt(part)) ** 3:
@@ -229,7 +231,7 @@ class _RigidFit:
     def by_camera(self, camera: Camera) -> Floats:
         """Return the derivative (6, P) of the pose's error by the camera's numbers, true less given."""
         moved = np.vstack([plane.by_camera(camera) for plane in self.planes])
-        return np.asarray(np.linalg.solve(self.by_step.T @ self.by_step, self.by_step.T @ moved), np.float64)
+        return np.asarray(self.covariance @ (self.by_step.T @ moved), np.float64)
 
 
 def _distinct(starts: Sequence[RigidTransform], planes: Sequence[_PlaneResiduals]) -> list[_RigidFit]:
@@ -276,7 +278,10 @@ def _minimised(start: RigidTransform, planes: Sequence[_PlaneResiduals]) -> _Rig
             break
         else:
             damping *= _FACTOR
-    return _RigidFit(at, squared, by_step, planes)
+    covariance = np.linalg.inv(by_step.T @ by_step)
+    if not (math.isfinite(squared) and np.isfinite(covariance).all()):
+        raise DegenerateConfiguration("planes: residuals that are not finite; need another start")
+    return _RigidFit(at, squared, by_step, covariance, planes)
 
 
 def _linearised(pose: RigidTransform, planes: Sequence[_PlaneResiduals]) -> tuple[Floats, Floats]:

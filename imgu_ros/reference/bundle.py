@@ -19,6 +19,7 @@ from imgu_ros.pose.rigid_pose import SeenPlane, rigid_pose
 from imgu_ros.reference.marker import MarkerImage, MarkerReference, marker_image, marker_reference
 from imgu_ros.reference.marker_layout import PlacedMarker
 from imgu_ros.reference.reference import Reference
+from imgu_ros.reference.self_similarity import Copy
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.result import ReferenceResult, Status
 from imgu_ros.vision.camera.pose import Pose
@@ -106,6 +107,13 @@ class BundleReference(Reference):
     def parts(self) -> tuple[MarkerReference, ...]:
         """See `Reference.parts`."""
         return self._parts
+
+    def prepare(self, linear: bool) -> None:
+        """Nothing: see `MarkerReference.prepare`."""
+
+    def copies(self, linear: bool) -> tuple[Copy, ...]:
+        """See `Reference.copies`: the codes tell how a marker is turned."""
+        return ()
 
     def has_template_of(self, other: Reference) -> bool:
         """See `Reference.has_template_of`."""

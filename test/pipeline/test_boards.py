@@ -110,6 +110,23 @@ def test_half_covered_it_is_detected_and_tracked(side: str) -> None:
         assert found.confirmed_share is not None and found.confirmed_share < 0.9
 
 
+def test_something_moves_across_it() -> None:
+    """What covers it never bends a pose: every one that goes out is exact."""
+    own = localizer()
+    count = 0
+    for index in range(18):
+        R, t = placed(0.004 * index - 0.04, -0.01, 0.8, 25 + 0.6 * index, 10 + index)
+        light = board_scene(GRID, R, t)
+        left = 32 * index - 60
+        hide(light, max(left, 0), 0, min(max(left + 130, 1), WIDTH), HEIGHT)
+        found = own.process(exposed(light, index, index=index)).first
+        if found.pose is not None:
+            count += 1
+            assert error_m(found, t) < 2e-4
+            assert nees(found, R, t) < 30
+    assert count >= 14
+
+
 def test_one_marker_in_view_is_enough_to_start() -> None:
     R, t = placed(0.0, 0.0, 0.6, 15)
     light = board_scene(GRID, R, t)
