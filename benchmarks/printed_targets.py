@@ -15,7 +15,8 @@ evidence for it: take other ones.
   corners from their true places is at most 10 px, or more. Corners outside the frame count too.
 - copies: of the wrong ones, those where the print looks the same as where it is (a symmetry or a period of it).
 - flipped: of the right ones, those whose rotation is off by more than 10 degrees: the other planar solution.
-- unpublished: a homography without a pose, right / wrong by the same 10 px. Its reason is counted with the others.
+- unpublished: a homography without a pose, right / wrong by the same 10 px; of a print that looks the same when it is
+  turned and is said to be ambiguous, right when one of the ways that are said is. Reasons are counted with the others.
 - p50 px, NEES p50, inside: of the right poses, the median rms corner error, the median squared error of the
   pose in units of its covariance (5.35 is exact), and the share inside the 95 % ellipsoid.
 - SIFT, ORB: answers within 10 px / further off, of all frames: cv2 demosaicking, 1000 features, ratio test of 0.75,
@@ -211,6 +212,8 @@ def judged(outcome: Outcome, result: ReferenceResult, view: View, shown: Print) 
     if result.homography is None:
         return outcome
     H = result.homography.H
+    if result.pose is None:
+        H = min((H @ S for S in (np.eye(3), *result.alike)), key=lambda each: corner_rms(each, view.H, shown))
     corner_px = corner_rms(H, view.H, shown)
     outcome = replace(
         outcome,

@@ -113,7 +113,9 @@ class TargetsParameters:
         (), "Name of each target in topics and files; default: the file name without its extension, or `tag36h11_7`."
     )
     poses: tuple[float, ...] = parameter(
-        (), "Pose of each target in the map, seven numbers per target: x y z (m) qx qy qz qw; for `map/odom` and /tf."
+        (),
+        "Pose of each target in the map, seven numbers per target: x y z (m) qx qy qz qw; for `map/odom` and /tf, and to "
+        "tell by other targets which of its poses an ambiguous one has.",
     )
 
 
