@@ -31,6 +31,7 @@ COMMANDS = {
     "filter": "imgu_ros.cli.filter",
     "warp": "imgu_ros.cli.warp",
     "make": "imgu_ros.cli.make",
+    "check": "imgu_ros.cli.check",
     "calibrate": "imgu_ros.cli.calibrate",
     "params": "imgu_ros.cli.params",
     "bench": "imgu_ros.cli.bench",

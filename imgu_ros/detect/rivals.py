@@ -62,6 +62,10 @@ class Rivals:
         # By the names of two: H_first_second, template px.
         self._known: dict[str, dict[str, Matrix3]] = {}
 
+    def of_one_design(self, name: str) -> tuple[str, ...]:
+        """Return the references that share a part of their design with one, at the same place."""
+        return tuple(self._of(name))
+
     def settled(
         self, context: FrameContext, results: Mapping[str, ReferenceResult], thorough: bool
     ) -> dict[str, ReferenceResult]:

@@ -52,14 +52,7 @@ def write_report(path: Path, table: FrameTable, summary: Summary, samples: Seque
     FileError
         If the file cannot be written.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("imgu_ros.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=lambda value: shown(value) if type(value) is str else value,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = page_environment()
     environment.filters["figures"] = figures
     defaults = {known.name: known.default for known in declarations()}
     page = environment.get_template("report.html.j2").render(
@@ -71,6 +64,18 @@ def write_report(path: Path, table: FrameTable, summary: Summary, samples: Seque
     write_text(path, page)
 
 
+def page_environment() -> jinja2.Environment:
+    """Return what fills in the pages of `templates/`: text from outside is escaped, and acts on nothing."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("imgu_ros.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=lambda value: shown(value) if type(value) is str else value,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
 def _figures(table: FrameTable) -> Iterator[Picture]:
     if not len(table):
         return
@@ -78,38 +83,40 @@ def _figures(table: FrameTable) -> Iterator[Picture]:
         trajectory = plots.plot_trajectory(table, index)
         if trajectory is not None:
             title = "Trajectory" if len(table.targets) == 1 else f"Trajectory before {name}"
-            yield _plot(
+            yield plotted(
                 trajectory, title, "The camera in the target's frame: x right, y up, z out of the printed face."
             )
     errors = plots.plot_errors(table)
     if errors is not None:
         caption = "Against the truth file. Dashed: the error that the estimate's own covariance predicts (1σ)."
-        yield _plot(errors, "Errors over time", caption)
+        yield plotted(errors, "Errors over time", caption)
     else:
         precision = plots.plot_precision(table)
         if precision is not None:
             caption = "No truth file was given: this is what the estimates say of themselves, not their error."
-            yield _plot(precision, "Precision over time", caption)
-    yield _plot(plots.plot_status(table), "Status over time", "Each target's status; tentative matches and inliers.")
+            yield plotted(precision, "Precision over time", caption)
+    yield plotted(plots.plot_status(table), "Status over time", "Each target's status; tentative matches and inliers.")
     times = plots.plot_times(table)
     if times is not None:
-        yield _plot(times, "Stage times", "Time in the pipeline, without reading and writing.")
+        yield plotted(times, "Stage times", "Time in the pipeline, without reading and writing.")
 
 
-def _plot(figure: Figure, title: str, caption: str) -> Picture:
+def plotted(figure: Figure, title: str, caption: str) -> Picture:
+    """Return a figure as a picture of a page."""
     buffer = io.BytesIO()
     # Little is gained by compressing lines on white for longer.
     compression: Any = {"compress_level": 3}
     with plot_style({}):
         figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
-    return Picture(_uri("image/png", buffer.getvalue()), title, caption)
+    return Picture(data_uri("image/png", buffer.getvalue()), title, caption)
 
 
 def _sample_picture(sample: AnnotatedFrame, table: FrameTable) -> Picture:
     seconds = (sample.stamp_ns - int(table.stamp_ns.min())) / 1e9 if len(table) else 0.0
-    return Picture(_uri("image/jpeg", sample.jpeg), f"frame {sample.index}, {seconds:.2f} s", sample.caption)
+    return Picture(data_uri("image/jpeg", sample.jpeg), f"frame {sample.index}, {seconds:.2f} s", sample.caption)
 
 
-def _uri(media_type: str, data: bytes) -> Markup:
+def data_uri(media_type: str, data: bytes) -> Markup:
+    """Return a data URI, which is not shortened."""
     # Ours, and not to be shortened.
     return Markup(f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}")

@@ -43,13 +43,14 @@ class _PixelSites:
 class Renderer:
     """Renders a scene as a noise-free sensor would see it."""
 
-    def __init__(self, scene: Scene, camera: Camera, layout: PixelLayout) -> None:
+    def __init__(self, scene: Scene, camera: Camera, layout: PixelLayout, behind: Image | None = None) -> None:
         """Prepare textures and lens.
 
         Parameters
         ----------
         scene, camera : what is seen, and by what
         layout : Bayer, mono, RGB or BGR: only the colours that a pixel measures are computed
+        behind : what is seen where no target is, as `radiance` returns it; None: the scene's wall
 
         Raises
         ------
@@ -62,6 +63,7 @@ class Renderer:
         self._grid = PixelGrid(camera)
         self._levels = [Levels(target.pixels) for target in scene.targets]
         self._wall = Wall(scene.radius_m)
+        self._behind = behind
 
     def radiance(self, view: RigidTransform | View) -> Image:
         """Render one view: of the camera at a pose, `camera_from_scene`, or as a `View` says.
@@ -82,7 +84,10 @@ class Renderer:
             view = View(self.camera.K, view)
         shape = (self.camera.height, self.camera.width)
         out = np.empty(shape if self._channels == 1 else (*shape, self._channels), np.float32)
-        self._draw_wall(out, view)
+        if self._behind is None:
+            self._draw_wall(out, view)
+        else:
+            out[:] = self._behind
         poses = [view.camera_from_scene.after(pose) for pose in self.scene.poses]
         # The far ones first: a nearer one hides them.
         for index in sorted(range(len(poses)), key=lambda i: -float(np.mean(poses[i].t[..., 2]))):
