@@ -124,7 +124,8 @@ def judged(result: ReferenceResult | None, view: View, shown: Print, step: int, 
     right = is_right(result.homography.H, view, shown, seen_px)
     pose = result.pose
     if not right or pose is None:
-        return ViewOutcome(step, seen_px, view.tilt_deg, right, not right, distance)
+        # Of places where it looks the same, none is told to be the right one.
+        return ViewOutcome(step, seen_px, view.tilt_deg, right and not result.alike, not right, distance)
     return ViewOutcome(
         step, seen_px, view.tilt_deg, True, False, distance, float(np.linalg.norm(view.t - pose.t)),
         float(np.linalg.norm(rotation_vector(view.R @ pose.R.T))),

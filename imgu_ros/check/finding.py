@@ -42,7 +42,7 @@ _CEILINGS = np.linspace(0.0, 1.0, 41)
 
 @dataclass(frozen=True, slots=True)
 class SearchTrial:
-    """One view: longer side, px, tilt, and whether the reference was found, and where it is not."""
+    """One view: longer side, px, tilt, whether the reference was found without doubt where it is, or where it is not."""
 
     seen_px: float
     tilt_deg: float
@@ -156,7 +156,8 @@ def _searched(result: ReferenceResult, view: TrialView, tilt_deg: float, referen
     if result.homography is None:
         return SearchTrial(view.seen_px, tilt_deg, False, False, result.reason)
     right = _corner_px(result.homography.H, view.H, reference) <= min(_RIGHT_SHARE * view.seen_px, _RIGHT_PX)
-    return SearchTrial(view.seen_px, tilt_deg, right, not right, result.reason)
+    # Of places where it looks the same, none is told to be the right one.
+    return SearchTrial(view.seen_px, tilt_deg, right and not result.alike, not right, result.reason)
 
 
 def _corner_px(H: Matrix3, true_H: Matrix3, reference: Reference) -> float:

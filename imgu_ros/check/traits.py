@@ -16,6 +16,8 @@ from imgu_ros.types import Floats, Image
 
 #: Longer side of the picture in which contrast and flat parts are judged, px: a target as it is often seen.
 _SEEN_PX = 160
+#: Longer side of the picture that is looked at, where the template has so many px.
+_FINEST_PX = 600
 #: Longer side at which small print is lost, px.
 _FAR_PX = 64
 #: Steps of the FAST corner test, grey values of linear light, and corners of the picture enlarged twofold that it takes
@@ -100,7 +102,9 @@ class Traits:
 def traits_of(reference: Reference, linear: bool = True) -> Traits:
     """Return what a reference's templates say; `linear`: which of them, see `Reference.templates`."""
     octaves = reference.templates[linear]
-    finest = octaves[0].level.image
+    # Finer detail is hardly ever seen, and would take its time.
+    large = [octave.level.image for octave in octaves if max(octave.level.image.shape) >= _FINEST_PX]
+    finest = large[-1] if large else octaves[0].level.image
     seen = _reduced(finest, _SEEN_PX)
     far, contrast = _reduced(finest, _FAR_PX), float(finest.std())
     detail = detail_of(seen)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.reading import open_bag
+from imgu_ros.check.load_remarks import load_remarks
 from imgu_ros.config.components import DevelopmentParameters, OutputParameters, RecordedFramesParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, ParameterError
@@ -82,6 +83,7 @@ def replay(
             load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits),
             parameters,
         )
+        warnings.add(tuple(load_remarks(targets, parameters.raw.transfer != "srgb").values()))
         warnings.add(bag.warnings)
         source = FrameSource(bag, RecordedFramesParameters.of(parameters))
         warnings.add(bag.warnings, source.warnings)

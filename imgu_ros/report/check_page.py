@@ -80,20 +80,19 @@ def _target(check: TargetCheck) -> CheckedTarget:
 
 
 def _facts(check: TargetCheck) -> Iterator[tuple[str, str]]:
-    if check.curve is None:
-        return
+    """Yield the same facts of every target, a dash where one has none."""
     smallest, far = check.smallest_width_px, farthest(check)
-    if smallest is None:
-        yield "found in large views", f"{check.curve.large_share:.0%}"
-    else:
-        yield "found from", f"{smallest:.0f} px wide"
-    if far is not None:
-        yield "so far away", length(far, check)
+    large = "–" if check.curve is None else f"{check.curve.large_share:.0%}"
+    yield "of large views found", large
+    yield "found from a width of", "–" if smallest is None else f"{smallest:.0f} px"
+    yield "so far away", "–" if far is None else length(far, check)
     known = [e for e in check.errors if e.position_m is not None and e.rotation_deg is not None]
-    if known:
+    if known and smallest is not None:
         middle = known[len(known) // 2]
         error = small_length(float(middle.position_m or 0), middle.distance_m, check)
-        yield f"error {length(middle.distance_m, check)} away", f"{error}, {middle.rotation_deg:.2g}°"
+        yield "error of one frame", f"{error}, {middle.rotation_deg:.2g}° at {length(middle.distance_m, check)}"
+    else:
+        yield "error of one frame", "–"
 
 
 def _pictures(check: TargetCheck) -> Iterator[Picture]:

@@ -104,7 +104,7 @@ def plot_found(check: TargetCheck) -> Figure:
             xscale="log", xlabel="width in the image, px (tilted: the shorter, foreshortened way)", ylabel="found, %",
             ylim=(-8, 108), xlim=(16 * by, 512 * by),
         )  # fmt: skip
-        _plain_ticks(axes, [size * by for size in (16, 32, 64, 128, 256, 512)])
+        _plain_ticks(axes, [size for size in (10, 20, 50, 100, 200, 500) if 16 * by <= size <= 512 * by])
         axes.legend(loc="center right", fontsize=8.5)
     return figure
 

@@ -117,6 +117,7 @@ def health(
         _output(f"{prefix}: output", state, found, worker, now),
         _input(f"{prefix}: input", found, source, worker, now),
         _camera(f"{prefix}: camera", found, worker),
+        _targets(f"{prefix}: targets", worker),
     ]
 
 
@@ -279,6 +280,12 @@ def _camera(name: str, found: Sequence[Cause], worker: LocalizerWorker) -> Healt
             "focal_error_sigma_percent": last.calibration.focal_sigma_percent,
         }
     return HealthEntry(name, HealthLevel.WARN if reason else HealthLevel.OK, reason or "calibrated", values)
+
+
+def _targets(name: str, worker: LocalizerWorker) -> HealthEntry:
+    poor = dict(worker.poor_targets)
+    level = HealthLevel.WARN if poor else HealthLevel.OK
+    return HealthEntry(name, level, "; ".join(poor.values()) or "nothing to say", {"targets": len(worker.targets)})
 
 
 def _memory_causes() -> list[Cause]:

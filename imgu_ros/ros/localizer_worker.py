@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgu_ros.config.components import ReadingParameters
+from imgu_ros.check.load_remarks import load_remarks
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
@@ -96,6 +97,7 @@ class LocalizerWorker(FrameWorker):
     age : from an image's stamp to its results, by the node's clock
     failures : targets that were searched for and not found
     sizes : implausible widths of targets
+    poor_targets : what is said of targets that will hardly be found, by name
     unknown_encodings : those of the rejected frames whose encoding is unknown
     """
 
@@ -105,6 +107,8 @@ class LocalizerWorker(FrameWorker):
         self.age = LatencyMeter()
         self.failures = SearchFailures()
         self.sizes = SizeChecks(())
+        self.poor_targets: dict[str, str] = {}
+        self._judged: tuple[PreparedLocalizer, dict[str, str]] | None = None
         self.unknown_encodings = 0
         self._parameters = parameters
         self._handlers = handlers
@@ -158,7 +162,10 @@ class LocalizerWorker(FrameWorker):
         ImguError
             If an image cannot serve as a target.
         """
-        return prepare_localizer(images, self._parameters() if parameters is None else parameters, self._built)
+        built = prepare_localizer(images, self._parameters() if parameters is None else parameters, self._built)
+        # Not in `use`, while frames wait.
+        self._judged = built, load_remarks(built.references, built.parameters.raw.transfer != "srgb")
+        return built
 
     def read_with(self, reading: FrameReading, parameters: Parameters) -> None:
         """Decode frames this way from the next one on, as long as these parameters are in force."""
@@ -173,6 +180,7 @@ class LocalizerWorker(FrameWorker):
                 built.localizer.continue_from(self._built.localizer)
             self._built = built
             self.sizes = SizeChecks(built.references)
+            self.poor_targets = self._judged[1] if self._judged is not None and self._judged[0] is built else {}
             self._last = None
             self.failures.clear()
 
@@ -195,6 +203,7 @@ class LocalizerWorker(FrameWorker):
         with self.between_frames():
             self._rebuilder.forget()
             self._built = self._last = None
+            self.poor_targets = {}
             self.failures.clear()
 
     def close(self, timeout_s: float = 1.0) -> bool:

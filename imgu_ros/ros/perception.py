@@ -87,6 +87,8 @@ class PerceptionNode(ManagedNode[ImageInput, LocalizerWorker]):
         """Search for these targets from the next frame on, and have a publisher for each of their topics."""
         with self._input.standstill.excused(), self._worker.between_frames():
             self._worker.use(built)
+            for line in self._worker.poor_targets.values():
+                self.get_logger().warning(line)
             self._fit_outputs([target.name for target in built.references], self._server.parameters)
 
     def _follow(self, parameters: Parameters) -> None:
