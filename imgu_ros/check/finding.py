@@ -42,7 +42,7 @@ _CEILINGS = np.linspace(0.0, 1.0, 41)
 
 @dataclass(frozen=True, slots=True)
 class SearchTrial:
-    """One view: longer side, px, tilt, whether the reference was found without doubt where it is, or where it is not."""
+    """One view: longer side, px, tilt, and whether the reference was found where it is, without doubt, or elsewhere."""
 
     seen_px: float
     tilt_deg: float

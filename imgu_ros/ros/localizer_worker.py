@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgu_ros.config.components import ReadingParameters
 from imgu_ros.check.load_remarks import load_remarks
+from imgu_ros.config.components import ReadingParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import EncodingError, ImguError
 from imgu_ros.files.frame_reading import FrameReading, frame_reading
