@@ -53,9 +53,9 @@ from imgu_ros.vision.camera.intrinsics import make_camera
 
 CAMERA = make_camera(K, [], "plumb_bob", WIDTH, HEIGHT)
 #: Views of each size in which errors are measured; sizes between the promised smallest one and this, px.
-_ERROR_VIEWS, _LARGEST_PX = 16, 300.0
+_ERROR_VIEWS, _LARGEST_PX = 24, 300.0
 #: Fewer poses tell no median.
-_FEWEST = 16
+_FEWEST = 24
 #: A promise that is off by less than this factor holds.
 HOLDS = 1.3
 _SLOPES = (0.04, 0.06, 0.08, 0.1, 0.12, 0.16)

@@ -25,10 +25,7 @@ from imgu_ros.vision.camera.rotation import log_so3
 #: Tilt of the views, degrees: straight on depth and rotation are told worst, at 60 degrees the far side is small.
 TILT_DEG = 30.0
 #: Views of each size, with other rolls and directions of tilt; errors that are drawn from the covariance of each.
-_VIEWS, _DRAWS = 6, 300
-#: Errors in frames of another renderer are smaller than in those that are simulated here. Measured:
-#: benchmarks/target_scores.py.
-_SMALLER = 0.78
+_VIEWS, _DRAWS = 8, 250
 #: Median of chi-squared with 6 degrees of freedom: what squared errors in units of their covariance have.
 _MEDIAN_SQUARE = 5.348
 #: A view begins where tracking does: right to this, px.
@@ -111,7 +108,7 @@ def _scale(errors: Sequence[_ViewError]) -> float:
     if not errors:
         return 1.0
     squares = [float(each.error @ np.linalg.solve(each.covariance, each.error)) for each in errors]
-    return _SMALLER * math.sqrt(float(np.median(squares)) / _MEDIAN_SQUARE)
+    return math.sqrt(float(np.median(squares)) / _MEDIAN_SQUARE)
 
 
 def _expected(seen_px: float, distance_m: float, errors: Sequence[_ViewError], scale: float) -> ExpectedError:

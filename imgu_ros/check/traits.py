@@ -73,8 +73,7 @@ class Traits:
     @property
     def turns_deg(self) -> tuple[int, ...]:
         """Turns after which the target looks much the same, of 45, 60, 72, 90, 120 and 180 degrees."""
-        turns = (min(copy.turn_deg, 360 - copy.turn_deg) for copy in self._alike if self._is_turn(copy))
-        return tuple(sorted({usual for turn in turns if (usual := _usual_turn(turn))}))
+        return tuple(sorted({turn for copy in self._alike if self._is_turn(copy) and (turn := self._turn_of(copy))}))
 
     @property
     def repeats(self) -> bool:
@@ -84,7 +83,13 @@ class Traits:
     @property
     def closest(self) -> Copy | None:
         """The copy for which the target is mistaken most easily; None: there is none."""
-        return min(self._alike, key=self._differing, default=None)
+        told = [copy for copy in self._alike if not self._is_turn(copy) or self._turn_of(copy)]
+        return min(told, key=self._differing, default=None)
+
+    @property
+    def telling_share(self) -> float:
+        """Share of its cells that tell it from the closest copy; 1 without one."""
+        return 1.0 if self.closest is None else self._differing(self.closest)
 
     @property
     def _alike(self) -> tuple[Copy, ...]:
@@ -92,6 +97,15 @@ class Traits:
 
     def _is_turn(self, copy: Copy) -> bool:
         return bool(copy.turn_deg) and copy.shift_px < _OFF_CENTRE * max(self.width_px, self.height_px)
+
+    def _turn_of(self, copy: Copy) -> int:
+        """Return the turn of a usual symmetry that is as near as copies are exact; 0: none is.
+
+        What is blurred or round looks the same after many others.
+        """
+        turn = min(copy.turn_deg, 360 - copy.turn_deg)
+        nearest = min(_USUAL_TURNS_DEG, key=lambda usual: abs(usual - turn))
+        return nearest if abs(nearest - turn) <= _EXACT_DEG else 0
 
     def _differing(self, copy: Copy) -> float:
         """Return the share of cells that differ, of those that the copy does not put outside the target."""
@@ -172,11 +186,3 @@ def _crowded(detail: Image) -> float:
     if total <= 0:
         return 1.0
     return float(np.searchsorted(np.cumsum(strengths), 0.9 * total) + 1) / strengths.size
-
-
-def _usual_turn(turn_deg: float) -> int:
-    """Return the turn of a usual symmetry that is as near as copies are exact; 0: what is blurred or round looks the
-    same after others.
-    """
-    nearest = min(_USUAL_TURNS_DEG, key=lambda usual: abs(usual - turn_deg))
-    return nearest if abs(nearest - turn_deg) <= _EXACT_DEG else 0

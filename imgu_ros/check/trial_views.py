@@ -27,6 +27,7 @@ from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.formation.sensor import Sensor, expose
 from imgu_ros.vision.formation.transfer import linear_from_srgb
+from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: As `imgu check` says it: a small frame, in which a print is as small as a robot sees it.
 DEFAULT_CAMERA = make_camera(np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]]), [], "plumb_bob", 640, 480)
@@ -45,6 +46,8 @@ _BEHIND = 0.4
 _COARSER = 3
 #: Half a view is nowhere nearer to the border than this, px.
 _MARGIN_PX = 3.0
+#: Pixels are drawn so many times finer where errors of hundredths of one matter.
+_FINER = 2
 #: Places that are drawn before a size counts as too large for the frame.
 _DRAWS = 40
 _BAYER, _RGB = PixelLayout(ColorModel.BAYER, BayerPattern.RGGB), PixelLayout(ColorModel.RGB)
@@ -117,7 +120,7 @@ class TrialViews:
         middle = np.array((self._camera.width - 1, self._camera.height - 1)) / 2
         pose = self._placed(seen_px, tilt_rad, axis_rad, roll_rad, middle)
         camera = self._window(seen_px, middle)
-        return self._drawn(pose, camera, seen_px, np.random.default_rng([seed, 0xACC]), None)
+        return self._drawn(pose, camera, seen_px, np.random.default_rng([seed, 0xACC]), None, _FINER)
 
     def _window(self, seen_px: float, middle: Points) -> Camera:
         """Return the camera of the part of the frame about its middle that shows the reference."""
@@ -147,17 +150,31 @@ class TrialViews:
         return bool(points_in_image(H, points, (camera.width, camera.height), camera).all())
 
     def _drawn(
-        self, pose: RigidTransform, camera: Camera, seen_px: float, rng: np.random.Generator, behind: Image | None
+        self,
+        pose: RigidTransform,
+        camera: Camera,
+        seen_px: float,
+        rng: np.random.Generator,
+        behind: Image | None,
+        finer: int = 1,
     ) -> TrialView:
         if behind is not None:
             behind = np.rot90(behind, 2 * int(rng.integers(2)))[:, :: int(rng.choice((-1, 1)))]
         # Blur mixes the colours of neighbouring sites: all of them are drawn everywhere.
-        light = Renderer(self._scene, camera, _RGB, behind).radiance(pose)
-        light = _BLACK + (_WHITE - _BLACK) * cv2.GaussianBlur(light, (0, 0), rng.uniform(*DEFOCUS_PX))
-        light *= np.float32(_EXPOSURE * rng.uniform(0.8, 1.2)) * rng.uniform(*_TINT, 3).astype(np.float32)
+        light = Renderer(self._scene, _enlarged(camera, finer), _RGB, behind).radiance(pose)
+        light = _BLACK + (_WHITE - _BLACK) * cv2.GaussianBlur(light, (0, 0), finer * rng.uniform(*DEFOCUS_PX))
+        if finer > 1:
+            light = cv2.resize(light, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        light = light * (_EXPOSURE * rng.uniform(0.8, 1.2) * rng.uniform(*_TINT, 3)).astype(np.float32)
         raw = expose(np.ascontiguousarray(as_mosaic(light, BayerPattern.RGGB), np.float32), _SENSOR, rng)
         frame = Frame(RawImage(raw, _BAYER), 1_000_000_000, "camera", camera)
         return TrialView(frame, image_from_template(camera.K, pose, self._metres), pose, seen_px)
+
+
+def _enlarged(camera: Camera, factor: int) -> Camera:
+    """Return a camera with so many times as many pixels along each side."""
+    K = PixelScaling(1 / factor).reduced_from_full @ camera.K
+    return make_camera(K, camera.distortion, camera.model, factor * camera.width, factor * camera.height)
 
 
 @lru_cache(maxsize=2)

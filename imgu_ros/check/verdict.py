@@ -32,6 +32,8 @@ _BITS = 10
 #: Limits from which on a trait is a reason. They are those that tell the poor ones among printed targets from others:
 #: benchmarks/target_scores.py.
 _FEW_CORNERS, _CORNERS_FROM_PX = 60, 100.0
+#: Nothing tells a target from a copy of which so small a share differs.
+_SAME = 0.02
 #: With fewer corners a picture is like itself anywhere, and that it has so few is the reason.
 _HARDLY_ANY = 20
 _LOW_CONTRAST, _FLAT, _LOST, _CROWDED, _ELONGATED, _FEW_PX = 25.0, 0.65, 0.38, 0.35, 2.5, 300
@@ -175,10 +177,13 @@ def _checked(
 
 
 def score_of(curve: FindingCurve) -> int:
-    """Return the share of views from `SCORE_PX` on in which a target is found, in percent."""
+    """Return the share of views of `SCORE_PX` in which a target is found, percent; that of one that is dependable at no
+    size is below `DEPENDABLE`.
+    """
     low, high = (math.log(size) for size in SCORE_PX)
     middle = min(max(math.log(curve.middle_px), low), high)
-    return round(100 * curve.ceiling * (high - middle) / (high - low))
+    score = round(100 * curve.ceiling * (high - middle) / (high - low))
+    return score if curve.smallest_px() is not None else min(score, DEPENDABLE - 1)
 
 
 def reasons_of(traits: Traits, has_code: bool = False) -> Iterator[TargetReason]:
@@ -192,16 +197,19 @@ def reasons_of(traits: Traits, has_code: bool = False) -> Iterator[TargetReason]
     t = traits
     if has_code:
         return
+    is_same = t.telling_share < _SAME
+    same = "the same" if is_same else "much the same"
+    telling = "" if is_same else f": {t.telling_share:.0%} of its detail tells it"
     if t.turns_deg and t.corners >= _HARDLY_ANY:
         yield TargetReason(
             ReasonKind.SYMMETRIC,
-            f"looks the same turned by {' or '.join(map(str, t.turns_deg))} degrees",
+            f"looks {same} turned by {' or '.join(map(str, t.turns_deg))} degrees{telling}",
             "add something large on one side alone, that has no counterpart opposite",
         )
     if t.repeats and t.corners >= _HARDLY_ANY:
         yield TargetReason(
             ReasonKind.REPEATS,
-            "repeats itself: shifted by a period it looks the same",
+            f"repeats itself: shifted by a period it looks {same}{telling}",
             "let every part look different: vary the pattern, or lay large things of several sorts over it",
         )
     if t.corners < _FEW_CORNERS or t.corners_from_px > _CORNERS_FROM_PX:

@@ -62,8 +62,8 @@ def telling_picture(check: TargetCheck, copy: Copy) -> Image:
     height, width = (side // CELL * CELL for side in grey.shape)
     factor = grey.shape[1] / check.image.pixels.shape[1]
     S = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpPerspective(grey, S @ copy.H @ np.linalg.inv(S), grey.shape[::-1], flags=flags)
+    flags, border = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
+    moved = cv2.warpPerspective(grey, S @ copy.H @ np.linalg.inv(S), grey.shape[::-1], flags=flags, borderMode=border)
     a, b = (cv2.GaussianBlur(each, (0, 0), 1.0)[:height, :width].copy() for each in (grey, np.asarray(moved)))
     mean_a, mean_b = cell_means(a), cell_means(b)
     power_a, power_b = cell_means(a * a) - mean_a * mean_a, cell_means(b * b) - mean_b * mean_b

@@ -203,6 +203,7 @@ def test_score_is_the_share_of_sizes() -> None:
     assert score_of(FindingCurve((), 1.0, 32.0)) == 100
     assert score_of(FindingCurve((), 1.0, 128.0)) == 50
     assert score_of(FindingCurve((), 0.5, 128.0)) == 25
+    assert score_of(FindingCurve((), 0.75, 32.0)) == DEPENDABLE - 1
     assert score_of(FindingCurve((), 1.0, 700.0)) == 0
     assert score_of(fitted_curve(())) == 0
 
@@ -243,13 +244,18 @@ def test_a_good_target_is_dependable_without_reasons(good: TargetCheck) -> None:
 def test_symmetric_and_plain_ones_are_not_dependable() -> None:
     for picture, kind in (
         (half_turn_symmetric(), ReasonKind.SYMMETRIC),
-        (periodic(), ReasonKind.REPEATS),
         (plain(), ReasonKind.FEW_CORNERS),
     ):  # fmt: skip
         check = checked(picture)
         assert not check.is_dependable
         assert check.score < DEPENDABLE
-        assert check.reasons[0].kind in (kind, ReasonKind.SYMMETRIC, ReasonKind.NOT_USABLE)
+        assert check.reasons[0].kind in (kind, ReasonKind.NOT_USABLE)
+
+
+def test_a_periodic_target_is_worse(good: TargetCheck) -> None:
+    check = checked(periodic())
+    assert ReasonKind.REPEATS in kinds_of(check)
+    assert check.score < good.score - 10
 
 
 def test_low_contrast_lowers_the_score(good: TargetCheck) -> None:
@@ -312,8 +318,8 @@ def test_strange_shapes_are_judged(shape: tuple[int, int]) -> None:
 
 def test_larger_views_come_first() -> None:
     assert list(SIZES_PX) == sorted(SIZES_PX, reverse=True)
-    image = TargetImage("a", plain(), 0.2)
+    image = TargetImage("a", half_turn_symmetric(), 0.2)
     reference: Reference = make_references([image], SIMULATED)[0]
     curve = finding_curve(reference, TrialViews(reference, image, DEFAULT_CAMERA), SIMULATED)
-    assert curve.large_share < 0.5
+    assert curve.large_share == 0
     assert any("not tried" in trial.reason for trial in curve.trials)

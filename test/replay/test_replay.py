@@ -20,6 +20,7 @@ from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import BagError, FileError, ParameterError
 from imgu_ros.files.frames_csv import COLUMNS
+from imgu_ros.image_files.images import write_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
@@ -365,6 +366,19 @@ def test_a_width_of_another_unit_is_said_once(
     (line,) = [text for text in said if text.startswith("targets.widths_m")]
     assert line.startswith(f"targets.widths_m {width_m:g}: poster would be ") and f"did you mean {likely}" in line
     assert line in summary.warnings
+
+
+def test_a_target_that_looks_the_same_turned_is_said(bag: Path, parameters: Parameters, tmp_path: Path) -> None:
+    half = procedural_texture(240, 90, seed=4)
+    write_image(tmp_path / "card.png", np.vstack((half, half[::-1, ::-1])))
+    images = {"targets.images": [*parameters.targets.images, str(tmp_path / "card.png")], "targets.names": []}
+    two = parameters_from(images | {"targets.widths_m": [0.5, 0.1]}, parameters)
+    said: list[str] = []
+    summary = replay([bag], tmp_path / "out", two, on_warning=said.append)
+    lines = [line for line in said if line.startswith("target card: looks the same turned by 180 degrees")]
+    assert len(lines) == 1
+    assert lines[0] in summary.warnings
+    assert not any("target poster" in line for line in said)
 
 
 @pytest.mark.parametrize("field", [{"k": np.full(9, np.nan)}, {"width": 100, "height": 100}])

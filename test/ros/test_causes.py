@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -228,6 +229,18 @@ def test_quality_of_service_clock_and_lifecycle(imgu, world, peer, make_camera, 
     camera.close()
     if "IMGU_QUIET" in os.environ:
         print(ear.took_s)
+    assert "Traceback" not in node.text
+
+
+def test_a_target_that_will_hardly_be_found_is_said(imgu, peer, tmp_path):
+    rng = np.random.default_rng(2)
+    half = np.kron(rng.integers(0, 256, (9, 18), np.uint8), np.ones((16, 16), np.uint8))
+    cv2.imwrite(str(tmp_path / "card.png"), np.vstack((half, half[::-1, ::-1])))
+    node = imgu("node", "perception", "-p", f"targets.images:={tmp_path / 'card.png'}")
+    ear = Ear(node, peer)
+    node.wait_for_line("targets: card")
+    ear.hears("target card: looks the same turned by 180 degrees", "imgu check")
+    assert node.text.count("target card: looks the same") == 1
     assert "Traceback" not in node.text
 
 

@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ros extra")
@@ -161,3 +162,21 @@ def test_a_camera_file_that_has_vanished_is_said_and_read_when_it_is_there(
         assert len(running.failures) == 2
     finally:
         assert running.worker.close(5.0)
+
+
+def test_poor_targets_are_those_in_use(images: tuple[TargetImage, ...]) -> None:
+    """A picture that looks the same turned is said as long as it is a target, its name among others."""
+    half = images[0].pixels[:400]
+    turned = TargetImage("turned", np.vstack((half, half[::-1, ::-1])), 0.5)
+    running = Running((*images, turned))
+    try:
+        assert set(running.worker.poor_targets) == {"turned"}
+        assert "turned by 180 degrees" in running.worker.poor_targets["turned"]
+        running.worker.use(running.worker.build(images))
+        assert running.worker.poor_targets == {}
+        running.worker.use(running.worker.build([turned]))
+        assert set(running.worker.poor_targets) == {"turned"}
+        running.worker.drop()
+        assert running.worker.poor_targets == {}
+    finally:
+        running.worker.close()
