@@ -470,6 +470,8 @@ CASES = (
     *(Case(f"filter_{method}", "rgb8", f"filter {{in}}/rgb8.png {{out}}/filtered.png --method {method}")
       for method in ("mean", "gaussian", "detail", "strength", "direction", "edges", "canny")),
     Case("warp", "rgb8", "warp {in}/rgb8.png {out}/warped.png --rotate 30 --scale 0.7 --whole --interpolation cubic"),
+    Case("check", "rgb8", "check {in}/rgb8.png tag36h11:7 --width-m 0.5 --json {out}/check.json "
+         "-p search.thorough:=false"),
     Case("make", "rgb8", "make {in}/rgb8.png --width-m 0.5 --out {out}/print.pdf"),
     Case("calibrate", "chessboard", "calibrate {in}/chessboard --board 7x5 --square 0.025 --out {out}/camera.yaml "
          "--json {out}/calibration.json", is_quick=True),
