@@ -204,8 +204,8 @@ def test_boards_and_markers_in_one_list() -> None:
 
 def test_far_away_and_straight_on_it_is_ambiguous() -> None:
     """Two poses are weighed and reported; neither goes out."""
-    small = grid_layout(FAMILY, 1, 2, 0.03, 0.01, range(2))
-    R, t = placed(0, 0, 1.2, 3)
+    small = grid_layout(FAMILY, 1, 2, 0.035, 0.01, range(2))
+    R, t = placed(0, 0, 1.0, 2)
     found = localizer(small).process(exposed(board_scene(small, R, t))).first
     assert found.pose_status is PoseStatus.AMBIGUOUS
     assert found.pose is None and len(found.solutions) == 2

@@ -108,13 +108,13 @@ def test_another_face_tells_which_of_two_poses_is_right() -> None:
     assert alone.ambiguity == pytest.approx(localizer(markers[:1]).process(hidden).first.ambiguity)
     both = localizer(markers).process(frame).first
     assert both.pose_status is PoseStatus.METRIC
-    assert both.ambiguity is not None and both.ambiguity < 0.2
+    assert both.ambiguity is not None and both.ambiguity < 0.5
     assert np.linalg.norm(cv2.Rodrigues(R @ both.pose.R.T)[0]) < 0.03
 
 
 def test_one_face_straight_on_is_reported_as_ambiguous() -> None:
-    markers = cube(0.03, 0.04)
-    R, t = view(2, -1, 1.2)
+    markers = cube(0.035, 0.045)
+    R, t = view(1, -1, 1.0)
     found = localizer(markers).process(exposed(cube_scene(markers, R, t))).first
     assert found.pose_status is PoseStatus.AMBIGUOUS
     assert found.pose is None and len(found.solutions) == 2
