@@ -106,8 +106,9 @@ def read_code(frame: FrameImage, code: MarkerCode, H: Matrix3, camera: Camera | 
     hidden = int(np.count_nonzero(inner & ~in_view))
     blur = float(pairs[best].mean())
     if 2 * gain < _LEAST_CONTRAST:
-        zero = np.zeros((side, side))
-        return CodeReading(0.0, int(weights.sum()), side * side, hidden, False, 1.0, zero, blur, cell_area)
+        # Nothing is there, or another one whose colours are mostly the opposite.
+        zero, is_other = np.zeros((side, side)), hidden == 0 and code.likeness_of_others(s) > _AS_ANOTHER
+        return CodeReading(0.0, int(weights.sum()), side * side, hidden, is_other, 1.0, zero, blur, cell_area)
     residual = ((s - gain * centred[best]) * weights).reshape(side, side)
     columns, rows = (blurred_cells(side, sigma)[:, MARGIN:-MARGIN] for sigma in pairs[best])
     # By cell: how much the residual has of it, and the squares that it makes.

@@ -15,6 +15,7 @@ from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker, charuco
 from imgu_ros.reference_kinds import make_references
 from imgu_ros.result import PoseStatus, Status
 from imgu_ros.types import Floats, Image
+from imgu_ros.vision.markers.dictionaries import marker_codes
 
 pytestmark = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
 
@@ -153,10 +154,14 @@ def test_half_out_of_view_it_is_tracked() -> None:
     assert statuses == [Status.DETECTED, *[Status.TRACKED] * 7]
 
 
-def test_another_id_at_a_place_of_it_is_not_the_board() -> None:
-    """Detected, and tracked when it is exchanged."""
+@pytest.mark.parametrize("number", [77, 586, "opposite"])
+def test_another_id_at_a_place_of_it_is_not_the_board(number: int | str) -> None:
+    """Detected, and tracked when it is exchanged; also one most of whose cells have the opposite colour."""
+    if number == "opposite":
+        codes = 2.0 * marker_codes(FAMILY).reshape(587, -1) - 1
+        number = int(np.argmin(codes @ codes[4]))
     R, t = placed(0, 0, 0.7, 25)
-    other = MarkerLayout((*GRID.markers[:4], PlacedMarker(FAMILY, 77, 0.08, 0.0, -0.05), GRID.markers[5]))
+    other = MarkerLayout((*GRID.markers[:4], PlacedMarker(FAMILY, int(number), 0.08, 0.0, -0.05), GRID.markers[5]))
     own = localizer()
     assert own.process(exposed(board_scene(GRID, R, t))).first.status is Status.DETECTED
     for each in (own, localizer()):
