@@ -26,7 +26,7 @@ def load_remarks(references: Iterable[Reference], linear: bool = True) -> dict[s
     """
     said = {}
     for reference in references:
-        if reference.marker_code is not None:
+        if reference.codes:
             continue  # by the hundred, and each has a code of its own
         traits = traits_of(reference, linear)
         reasons = [reason for reason in reasons_of(traits) if reason.kind in LOAD_REASONS]

@@ -171,7 +171,7 @@ def _checked(
     smallest = curve.smallest_px() or curve.middle_px
     sizes = _sizes(smallest, min(camera.width, camera.height))
     errors = expected_errors(reference, views, parameters, sizes)
-    reasons = (*reasons_of(traits, has_code=reference.marker_code is not None), *_of_views(curve, errors))
+    reasons = (*reasons_of(traits, has_code=bool(reference.codes)), *_of_views(curve, errors))
     reasons += (*_transparent(notes), *_alike(alike))
     return TargetCheck(image.name, entry, image, score_of(curve), reasons, traits, curve, errors, image.width_m, alike)
 
