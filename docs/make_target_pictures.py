@@ -113,7 +113,7 @@ def main() -> None:
     checks = [check_targets([image], [image.name], Parameters(), DEFAULT_CAMERA)[0] for image in images]
     cells = [_cell(title, check) for title, check in zip(DESIGNS, checks, strict=True)]
     rows = [np.hstack(cells[first : first + 2]) for first in range(0, len(cells), 2)]
-    write_image(Path(__file__).parent / "images" / "targets.png", np.vstack(rows))
+    write_image(Path(__file__).parent / "images" / "targets.jpg", np.vstack(rows))
     for title, check in zip(DESIGNS, checks, strict=True):
         smallest = check.smallest_width_px
         print(f"| {title} | {check.score} | {'never' if smallest is None else f'{smallest:.0f} px'} | ", end="")

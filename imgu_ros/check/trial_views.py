@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -26,7 +26,7 @@ from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.formation.cfa import BayerPattern
 from imgu_ros.vision.formation.layout import ColorModel, PixelLayout, RawImage
 from imgu_ros.vision.formation.sensor import Sensor, expose
-from imgu_ros.vision.formation.transfer import linear_from_srgb
+from imgu_ros.vision.formation.transfer import linear_from_srgb, srgb_from_linear
 from imgu_ros.vision.scale_space.pyramid import PixelScaling
 
 #: As `imgu check` says it: a small frame, in which a print is as small as a robot sees it.
@@ -88,8 +88,12 @@ class TrialViews:
         self.longer_px = float(sides.max())
         self.longer_m = self.longer_px * float(self._metres[0, 0])
         # The printed paper, with the white about a marker.
-        paper = replace(image, width_m=image.pixels.shape[1] * float(self._metres[0, 0]))
-        still = RigidTransform(np.eye(3), np.zeros(3))
+        pixels = srgb_from_linear(image.pixels) if image.is_linear else image.pixels
+        paper = TargetImage(image.name, pixels, image.pixels.shape[1] * float(self._metres[0, 0]))
+        height, width = image.pixels.shape[:2]
+        # The origin of a board may be anywhere.
+        middle = self._metres @ np.array(((width - 1) / 2, (height - 1) / 2, 1.0))
+        still = RigidTransform(np.eye(3), np.array((middle[0], middle[1], 0.0)))
         self._scene = Scene((paper,), (still,), _BEHIND * self.longer_m)
 
     def distance_m(self, seen_px: float) -> float:

@@ -16,6 +16,7 @@ from imgu_ros.config.components import DetectionParameters
 from imgu_ros.config.parameters import Parameters, RawParameters
 from imgu_ros.detect.rivals import Rivals
 from imgu_ros.errors import ImguError
+from imgu_ros.reference.bundle import BundleImage
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references
@@ -131,7 +132,7 @@ def check_targets(
 
     Parameters
     ----------
-    images : as `load_target_images` returns them
+    images : as `load_target_images` returns them; of a bundle of markers each is checked by itself
     entries : of `targets.images`
     parameters : of the pipeline; `raw` and `camera` describe the user's frames, not those that are simulated
     camera : that shall see them
@@ -140,15 +141,18 @@ def check_targets(
     parameters = replace(
         parameters, raw=RawParameters(significant_bits=_BITS, grey_weights=parameters.raw.grey_weights)
     )
-    known = [replace(image, width_m=image.width_m or 1.0) for image in images]
+    targets = [
+        (part, entry, notes[index] if index < len(notes) else ())
+        for index, (image, entry) in enumerate(zip(images, entries, strict=True))
+        for part in (image.parts if isinstance(image, BundleImage) else (image,))
+    ]
+    known = [replace(image, width_m=image.width_m or 1.0) for image, _, _ in targets]
     references = make_references(known, parameters, BuildCache())
     rivals = Rivals(references, DetectionParameters.of(parameters))
-    checks = []
-    for index, (image, reference) in enumerate(zip(images, references, strict=True)):
-        alike = tuple(rivals.of_one_design(reference.name))
-        said = notes[index] if index < len(notes) else ()
-        checks.append(_checked(image, entries[index], reference, parameters, camera, said, alike))
-    return tuple(checks)
+    return tuple(
+        _checked(image, entry, reference, parameters, camera, said, tuple(rivals.of_one_design(reference.name)))
+        for (image, entry, said), reference in zip(targets, references, strict=True)
+    )
 
 
 def _checked(

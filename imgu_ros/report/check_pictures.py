@@ -123,11 +123,15 @@ def plot_accuracy(check: TargetCheck) -> Figure | None:
         label = "position, % of the distance"
     with plot_style(_STYLE):
         figure = Figure(figsize=(5.2, 2.9), layout="constrained")
-        for index, (values, name) in enumerate(((position, label), ([e.rotation_deg for e in known], "rotation, deg"))):
+        for index, (values, name) in enumerate(
+            ((position, label), ([float(e.rotation_deg or 0) for e in known], "rotation, deg"))
+        ):
             axes = figure.add_subplot(1, 2, index + 1)
-            axes.plot(distances, np.array(values, float), "o-", color=_BLUE, markersize=3.5)
+            axes.plot(distances, values, "o-", color=_BLUE, markersize=3.5)
             axes.set(xscale="log", yscale="log", xlabel=f"distance, {unit}", title=name)
             _plain_ticks(axes, _nice(min(distances), max(distances)))
+            ticks = _nice(min(map(float, values)), max(map(float, values)))
+            axes.set_yticks(ticks, [f"{tick:.3g}" for tick in ticks])
             far = farthest(check)
             if far is not None:
                 axes.axvline(far, color=_GREY, linestyle="--", linewidth=1)
@@ -135,7 +139,7 @@ def plot_accuracy(check: TargetCheck) -> Figure | None:
 
 
 def _nice(low: float, high: float) -> list[float]:
-    steps = [factor * 10.0**power for power in range(-4, 6) for factor in (1, 2, 5)]
+    steps = [factor * 10.0**power for power in range(-6, 6) for factor in (1, 2, 5)]
     return [step for step in steps if 0.95 * low <= step <= 1.05 * high]
 
 

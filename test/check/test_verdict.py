@@ -25,6 +25,7 @@ from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references
 
 SIMULATED = parameters_from({"raw.significant_bits": 10})
+needs_aruco = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
 #: Scores are lower without the thorough search, and take a third of the time.
 QUICK = parameters_from({"search.thorough": False})
 
@@ -144,6 +145,10 @@ def test_load_remarks_name_the_poor_ones_alone() -> None:
     assert "turned by 180 degrees" in said["turned"]
     assert "repeats" in said["tiles"]
     assert "few corners" in said["plain"]
+
+
+@needs_aruco
+def test_nothing_is_said_of_markers_at_load() -> None:
     assert load_remarks(make_references([marker_image("m", "tag36h11", 3, 0.1)], Parameters())) == {}
 
 
@@ -301,6 +306,7 @@ def test_targets_that_share_a_design_name_each_other() -> None:
     assert [check.alike for check in checks] == [("other",), ("one",), ()]
 
 
+@needs_aruco
 def test_a_marker_is_a_good_target_whatever_its_corners_are() -> None:
     (check,) = check_targets(
         [marker_image("m", "tag36h11", 7, 0.1)], ["tag36h11:7"], QUICK, DEFAULT_CAMERA

@@ -14,6 +14,7 @@ import pytest
 from imgu_ros.cli.main import main
 from imgu_ros.image_files.images import write_image
 
+needs_aruco = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
 #: Few and small keypoints: what is looked at here is not how well targets are found.
 QUICK = ("-p", "search.thorough:=false")
 
@@ -61,11 +62,11 @@ def test_exit_codes_say_whether_all_are_dependable(folder: Path, capsys: pytest.
         ((), 1, "TARGET: none"),
         (("nothing.png",), 1, "nothing.png"),
         (("tag36h11:9999",), 1, "tag36h11"),
-        (("tag36h11:3", "--width-m", "0"), 1, "--width-m"),
-        (("tag36h11:3", "--width-m", "nan"), 1, "--width-m"),
-        (("tag36h11:3", "--camera-info", "none.yaml"), 1, "none.yaml"),
-        (("tag36h11:3", "--score"), 2, "--score"),
-        (("tag36h11:3", "-p", "raw.black_level:=5"), 1, "not used by this command"),
+        (("a.png", "--width-m", "0"), 1, "--width-m"),
+        (("a.png", "--width-m", "nan"), 1, "--width-m"),
+        (("a.png", "--camera-info", "none.yaml"), 1, "none.yaml"),
+        (("a.png", "--score"), 2, "--score"),
+        (("a.png", "-p", "raw.black_level:=5"), 1, "not used by this command"),
     ],
 )
 def test_wrong_input_is_one_line(
@@ -80,6 +81,7 @@ def test_wrong_input_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@needs_aruco
 def test_json_has_every_number(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "check.json"
     assert check(folder / "good.png", "tag36h11:7", "--width-m", 0.2, "--json", path) == 0
@@ -213,3 +215,23 @@ def test_blank_picture_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     write_image(tmp_path / "blank.png", np.full((200, 200, 3), 255, np.uint8))
     assert check(tmp_path / "blank.png") == 1
     assert "blank" in capsys.readouterr().err
+
+
+@needs_aruco
+def test_boards_and_bundles_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A board has an origin of its own; a bundle is checked marker by marker."""
+    (tmp_path / "board.yaml").write_text(
+        "family: tag36h11\nsize: 0.08\nmarkers:\n- {id: 3, x: 0.1, y: 0.2}\n- {id: 4, x: 0.3, y: 0.2}\n"
+    )
+    (tmp_path / "cube.yaml").write_text(
+        "family: tag36h11\nsize: 0.08\nmarkers:\n- {id: 0, z: 0.05}\n- {id: 2, y: 0.05, roll_deg: -90}\n"
+    )
+    assert check(tmp_path / "board.yaml", tmp_path / "cube.yaml", "--json", tmp_path / "c.json") == 0
+    capsys.readouterr()
+    board, *faces = json.loads((tmp_path / "c.json").read_text())["targets"]
+    assert board["width_m"] == pytest.approx(0.28)
+    assert board["score"] > 80
+    assert board["smallest_width_px"] * board["farthest"] == pytest.approx(600 * 0.28)
+    assert board["errors"][0]["position"] < 0.001
+    assert [face["name"] for face in faces] == ["cube/tag36h11:0", "cube/tag36h11:2"]
+    assert {face["width_m"] for face in faces} == {0.08}

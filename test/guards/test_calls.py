@@ -32,8 +32,8 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(266, 23, 108, {5: 2126, 4: 2126}),
-    "empty": Limit(4950, 53, 2300, {5: 36800, 4: 38600}),
+    "tracked": Limit(275, 24, 114, {5: 2137, 4: 2137}),
+    "empty": Limit(4960, 54, 2310, {5: 36900, 4: 38700}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 
