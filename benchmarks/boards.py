@@ -13,7 +13,8 @@ charuco: ChArUco boards of 5 x 4 squares of 40 mm, markers of 30 mm, 0.6 to 1.5 
 cube: a cube of 100 mm with tags of 80 mm on five faces, 0.5 to 2 m away, from any side but from below. A flip is a
     rotation that is off by 0.3 rad or more.
 measured: where the tags of such a cube are on it, by 24 frames from any side but from below, 0.4 to 0.8 m away, one
-    cube for ten views: each of its other tags relative to the first counts as a view.
+    cube for ten views: each of its other tags relative to the first counts as a view. Where one of them is not seen
+    often enough beside others, the cube counts as not found.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from numpy.typing import NDArray
 from print_views import RAW_PARAMETERS
 
 from imgu_ros.config.values import parameters_from
+from imgu_ros.errors import TooFewPoints
 from imgu_ros.localizer import Localizer
 from imgu_ros.pose.bundle_measurement import measure_bundle
 from imgu_ros.reference.bundle import BundleMarker, bundle_image
@@ -217,9 +219,12 @@ def measured(rng: np.random.Generator, figures: BoardFigures) -> None:
         result = processed(cube_frame(rng, [int(name) for name in names], CUBE, SIZE, R, t), images)
         frames.append({found.name: found.pose for found in result if found.pose is not None})
     (R_first, t_first), *others = cube_places(CUBE)
-    found = measure_bundle(frames, names)
+    figures.views += len(others)
+    try:
+        found = measure_bundle(frames, names)
+    except TooFewPoints:
+        return
     for name, (R, t) in zip(names[1:], others, strict=True):
-        figures.views += 1
         figures.found += 1
         figures.add(found.markers[name].place, R_first.T @ R, R_first.T @ (t - t_first))
 
@@ -247,8 +252,8 @@ def main() -> None:
                 add(np.random.default_rng([arguments.seed, index, view]), figures)
             document[name] = {"seed": arguments.seed, **figures.row()}
             print(name, "  ".join(f"{key} {value}" for key, value in document[name].items()), flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            if arguments.json:
+                arguments.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

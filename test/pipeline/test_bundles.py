@@ -26,6 +26,7 @@ from marker_scenes import (
 )
 
 from imgu_ros.config.parameters import Parameters
+from imgu_ros.config.values import parameters_from
 from imgu_ros.localizer import Localizer, prepare_localizer
 from imgu_ros.reference.bundle import BundleMarker, BundleReference, bundle_image
 from imgu_ros.reference.marker import marker_image
@@ -36,6 +37,7 @@ from imgu_ros.types import Floats, Image
 from imgu_ros.vision.camera.euler import from_euler
 from imgu_ros.vision.camera.intrinsics import make_camera
 from imgu_ros.vision.camera.pose import Pose
+from imgu_ros.vision.camera.rigid import RigidTransform
 from imgu_ros.vision.markers.finding import MarkerFinder
 
 pytestmark = pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
@@ -217,3 +219,25 @@ def test_bundles_and_markers_in_one_list_and_tracks_of_the_same_continue() -> No
     (reference, _), (other,) = built.references, make_references([bundle_image("c", cube(side=0.11))], Parameters())
     assert isinstance(reference, BundleReference)
     assert reference.has_template_of(again.references[0]) and not reference.has_template_of(other)
+
+
+def test_a_neighbour_whose_place_is_known_tells_which_pose_is_right() -> None:
+    """`targets.poses` of a bundle is of the thing: its faces have their own places in the map by it."""
+    markers = cube(0.035, 0.045)
+    R, t = view(1, -1, 1.0, x=-0.1)
+    light = cube_scene(markers, R, t)
+    R_other, t_other = placed(0.12, 0.02, 0.9, 35)
+    put_sheet(light, *sheet([PlacedMarker(FAMILY, 99, 0.1)]), R_other, t_other)
+    map_from_thing = RigidTransform(R_other, t_other).inverse().after(RigidTransform(R, t))
+    poses = [*map_from_thing.numbers(), 0, 0, 0, 0, 0, 0, 1]
+    images = [bundle_image("cube", markers), marker_image("m99", FAMILY, 99, 0.1)]
+    found = {}
+    for name, values in (("alone", {}), ("in map", {"targets.poses": [float(value) for value in poses]})):
+        # Poses of targets are one for each of `targets.images`.
+        values = {**values, "targets.images": ["cube.yaml", "tag36h11:99"], "targets.widths_m": [0.0, 0.1]}
+        parameters = parameters_from(values)
+        own = Localizer(parameters, make_references(images, parameters))
+        found[name] = own.process(exposed(light)).first
+    assert found["alone"].pose_status is PoseStatus.AMBIGUOUS
+    assert found["in map"].pose_status is PoseStatus.METRIC
+    assert np.linalg.norm(cv2.Rodrigues(R @ found["in map"].pose.R.T)[0]) < 0.1
