@@ -114,8 +114,8 @@ class TargetsParameters:
     )
     poses: tuple[float, ...] = parameter(
         (),
-        "Pose of each target in the map, seven numbers per target: x y z (m) qx qy qz qw; for `map/odom` and /tf, and to "
-        "tell by other targets which of its poses an ambiguous one has.",
+        "Pose of each target in the map, seven numbers per target: x y z (m) qx qy qz qw; for `map/odom` and /tf, and "
+        "to tell by other targets which of its poses an ambiguous one has.",
     )
 
 

@@ -41,6 +41,8 @@ _SYMMETRY_RESIDUAL, _SMOOTHED_PX = 0.35, 1.2
 #: The contrast of a part is that of so many px of the first image about it (standard deviation of a Gaussian); this
 #: share of the whole one's variance counts as none.
 _SURROUNDINGS_PX, _FAINT = 6.0, 0.05
+#: Of fine patterns: the correlation with itself a period away, by how much it is less between, and how many periods.
+_MIN_PERIODIC, _VALLEY, _MOST_FINE = 0.5, 0.3, 4
 #: Variance of a cell with enough contrast to tell.
 _TEXTURED = 36.0
 #: Correlation of cells that are alike.
@@ -107,11 +109,37 @@ def copies_of(octaves: Sequence[TemplateOctave]) -> tuple[Copy, ...]:
         # Neighbouring turns are one copy.
         if len(kept) < _MOST_LOOKED_AT and all(_apart(each, other) for other in kept):
             kept.append(each)
-    copies = [_copy(octave, image, *each) for each in kept]
+    copies = [_copy(octave, image, *each) for each in kept] + _fine_periods(_fine(octaves))
     copies = [_refined(octaves, each) for each in copies if each.differing_share <= _MOST_DIFFERING]
     size = octaves[0].level.image.shape[1] * octaves[0].scale, octaves[0].level.image.shape[0] * octaves[0].scale
     copies = [_symmetry(octaves, each, *size) for each in copies]
     return tuple(sorted(copies, key=lambda each: each.differing_share)[:_MOST])
+
+
+def _fine_periods(octave: TemplateOctave) -> list[Copy]:
+    """Return the shifts that are too small for the first image: those of screens, weaves and fine patterns."""
+    image = octave.level.image.astype(np.float32)
+    even, reach = _even(image), math.ceil(_LEAST_SHIFT * max(image.shape)) + 1
+    ground = float(np.median(even))
+    canvas = cv2.copyMakeBorder(even, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=ground)
+    similarity = cv2.matchTemplate(canvas, even, cv2.TM_CCOEFF_NORMED)
+    is_peak = similarity == cv2.dilate(similarity, np.ones((3, 3), np.uint8))
+    # Each shift is one back as well.
+    is_peak[reach:, : reach + 1] = is_peak[:reach, :reach] = False
+    found = []
+    for row, column in np.argwhere(is_peak & (similarity >= _MIN_PERIODIC)).tolist():
+        steps = np.linspace(0, 1, 2 * reach)
+        between = similarity[
+            np.rint(reach + steps * (row - reach)).astype(int), np.rint(reach + steps * (column - reach)).astype(int)
+        ]
+        if similarity[row, column] - between.min() >= _VALLEY:
+            found.append((float(similarity[row, column]), row - reach, column - reach))
+    # The shortest: others are these, several times.
+    found.sort(key=lambda each: each[1] ** 2 + each[2] ** 2)
+    return [
+        _copy(octave, image, best, 0.0, np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]]))
+        for best, y, x in found[:_MOST_FINE]
+    ]
 
 
 def _even(image: Image) -> Image:

@@ -63,6 +63,17 @@ def test_a_period_is_known_beforehand() -> None:
     assert found[0].shift_px == pytest.approx(120, abs=6)
 
 
+@pytest.mark.parametrize("period", [13, 17, 24])
+def test_a_fine_period_is_known_beforehand(period: int) -> None:
+    """A screen of dots, of a few hundredths of the width."""
+    y, x = np.mgrid[0:SIDE, 0:SIDE]
+    dots = (x % period - period / 2) ** 2 + (y % period - period / 2) ** 2 < (period / 3.5) ** 2
+    picture = cv2.GaussianBlur(np.where(dots, 30, 220).astype(np.uint8), (0, 0), 1.0)
+    shifts = [copy.H[:2, 2] for copy in copies(picture) if not copy.turn_deg]
+    for expected in ((period, 0), (0, period)):
+        assert min(np.abs(np.abs(shift) - expected).max() for shift in shifts) < 1.5
+
+
 def test_a_picture_without_order_has_no_copies() -> None:
     assert copies(procedural_texture(640, 480, 7)) == ()
 
