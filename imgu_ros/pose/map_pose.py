@@ -48,14 +48,16 @@ def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, Rigid
     EstimationError
         If the poses contradict each other so much that no pose lies between them.
     """
-    poses, slack = [], []
-    for found in results:
-        if found.pose is not None and found.name in places:
-            place = places[found.name]
-            pose = pose_seen_from(place, found.pose.inverse())
-            poses.append(pose)
-            slack.append(_misplacement(place.t - pose.t, found.width_m))
-    return fuse_poses(poses, slack) if poses else None
+    seen = [
+        (found, found.pose, places[found.name]) for found in results if found.pose is not None and found.name in places
+    ]
+    poses = [pose_seen_from(place, pose.inverse()) for _, pose, place in seen]
+    if len(poses) < 2:
+        return fuse_poses(poses) if poses else None
+    slack = [
+        _misplacement(place.t - pose.t, found.width_m) for (found, _, place), pose in zip(seen, poses, strict=True)
+    ]
+    return fuse_poses(poses, slack)
 
 
 def told_apart(
