@@ -21,7 +21,7 @@ def markdown_page(figures: dict[str, Any], docstring: str) -> str:
     s, machine = figures["summary"], figures["machine"]
     seeds = ", ".join(map(str, figures["seeds"]))
     title, _, rest = docstring.partition("\n")
-    prose = "\n\n".join(part for part in rest.strip().split("\n\n") if not part.startswith("    python"))
+    prose = "\n\n".join(part for part in rest.strip().split("\n\n") if "python benchmarks/" not in part)
     lines = [
         "<!-- SPDX-License-Identifier: Apache-2.0 -->",
         "# How far `imgu check` is right",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `imgu check` promises of printed targets, judged in frames of another renderer with exact truth.
 
-    python benchmarks/target_scores.py --seeds 311 --records scores/     # keeps each print there as soon as it is done
-    python benchmarks/target_scores.py --seeds 311 --records scores/ --json target_scores.json --markdown page.md \
+    python benchmarks/target_scores.py --seeds 312 --records scores/     # keeps each print there as soon as it is done
+    python benchmarks/target_scores.py --seeds 312 --each 1 --records scores/ --json figures.json --markdown page.md \
         --plot plot.png
     python benchmarks/target_scores.py --seeds 201 202 --records scores/ --slopes
 
