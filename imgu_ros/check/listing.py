@@ -34,7 +34,7 @@ def described(check: TargetCheck) -> Iterator[str]:
         return
     smallest = check.smallest_width_px
     if smallest is None:
-        yield f"  found dependably at no width: in {check.curve.large_share:.0%} of large views"
+        yield f"  gives one pose dependably at no width: in {check.curve.large_share:.0%} of large views"
         return
     far = farthest(check)
     away = "" if far is None else f"; so it is {length(far, check)} away"
