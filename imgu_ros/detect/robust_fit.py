@@ -141,7 +141,7 @@ class RobustFit:
         reference : the reference
         rng : draws minimal samples
         guide : matches again once the reference was located; None: the given matches are all
-        finish : completes the result; None: by the reference's pose
+        finish : completes the result, and knows of exact symmetries alone; None: by the reference's pose
         """
         matches, clock, p = result.matches, self._clock, self._parameters
         if matches is None:
@@ -158,6 +158,8 @@ class RobustFit:
             located, found = self._verified(reference, agreed, matches, located)
             if np.count_nonzero(agreed.inliers) < p.homography.min_inliers:
                 _require_much(found)
+            if finish is not None and len(located.alike) > len(reference.symmetries):
+                raise LooksAlike("the target looks the same turned", None if found is None else found.share)
         except EstimationError as error:
             if 0 < result.most_inliers < p.homography.min_inliers and not isinstance(error, LooksAlike):
                 # So few agree by chance, and then all kinds of things are wrong.
@@ -240,6 +242,8 @@ class RobustFit:
             found = require_confirming(found)
             if p.refinement.enabled and found.is_covered:
                 _require_agreeing(located, found)
+        if not located.alike:
+            located = replace(located, alike=reference.symmetries)
         if p.refinement.enabled:
             # Without refinement, keypoints tell corners to some px in every frame: that is what was asked for.
             require_determined(reference.plane, located, found is not None and found.is_covered)

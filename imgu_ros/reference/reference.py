@@ -17,7 +17,7 @@ from imgu_ros.reference.marker_code import MarkerCode
 from imgu_ros.reference.self_similarity import Copy, copies_of
 from imgu_ros.reference.templates import LightTemplates, TemplateOctave
 from imgu_ros.result import ReferenceResult
-from imgu_ros.types import Points
+from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.rigid import RigidTransform
 
 
@@ -142,3 +142,9 @@ class Reference(ABC):
         if linear not in self._copies:
             self._copies[linear] = copies_of(self.templates[linear])
         return self._copies[linear]
+
+    @property
+    def symmetries(self) -> tuple[Matrix3, ...]:
+        """Motions (3, 3), template px, after which the reference looks exactly the same: no frame tells them apart."""
+        linear = next(iter(self.templates), True)
+        return tuple(copy.H for copy in self.copies(linear) if copy.is_symmetry)

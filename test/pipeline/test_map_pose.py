@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from imgu_ros.config.values import parameters_from
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
-from imgu_ros.pose.map_pose import camera_in_map, map_places
+from imgu_ros.pose.map_pose import camera_in_map, map_places, told_apart
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
 from imgu_ros.simulate.sequence import Simulation, default_targets, simulate_sequence
@@ -143,3 +143,32 @@ def test_the_chain_on_simulated_frames_of_two_targets() -> None:
     assert len(together) >= 8
     assert np.median(together) < 0.7 * np.median(alone, axis=0).min()
     assert 1.2 < np.median(squared) < 12
+
+
+def flipped(pose: Pose) -> Pose:
+    """Return about the other pose that a small plane may have: mirrored at the line of sight."""
+    sight = pose.t / np.linalg.norm(pose.t)
+    normal = pose.R[:, 2]
+    turn = Rotation.from_rotvec(2 * np.cross(normal, -sight * np.sign(normal @ -sight)))
+    return replace(pose, R=(turn * Rotation.from_matrix(pose.R)).as_matrix())
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_other_targets_tell_which_planar_solution_is_right(first: int) -> None:
+    result = seen(3)
+    right = result.references["t1"].pose
+    assert right is not None
+    solutions = (right, flipped(right)) if first == 0 else (flipped(right), right)
+    unsure = replace(
+        result.references["t1"], pose_status=PoseStatus.AMBIGUOUS, pose=None, solutions=solutions, reason="two fit"
+    )
+    results = {**result.references, "t1": unsure}
+    settled, turned = told_apart(results, {}, PLACES, None)
+    assert settled["t1"].pose is right and settled["t1"].pose_status is PoseStatus.METRIC
+    assert settled["t1"].reason == "" and not turned
+    assert settled["t0"] is results["t0"]
+    # Alone, or where none of its poses is near what the others tell, it stays as it is.
+    alone = {"t1": unsure}
+    assert told_apart(alone, {}, PLACES, None)[0] == alone
+    far = replace(unsure, solutions=(flipped(right),))
+    assert told_apart({**results, "t1": far}, {}, PLACES, None)[0]["t1"] is far

@@ -30,7 +30,7 @@ from imgu_ros.reference import features as target_features
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.report.overlay import draw_result
-from imgu_ros.result import Result, Status
+from imgu_ros.result import PoseStatus, Result, Status
 from imgu_ros.ros.frame_worker import FrameMessages
 from imgu_ros.ros.messages import make_message
 from imgu_ros.ros.stages.demosaic import REDUCED, REDUCED_INFO, DemosaicStage
@@ -345,3 +345,23 @@ def test_every_output_has_the_cameras_frame_of_the_parameters() -> None:
     assert {
         topic: message.header.frame_id for topic, message in others.items() if topic not in of_target
     } == dict.fromkeys(others.keys() - of_target, "lens")
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_a_target_that_looks_the_same_turned_is_ambiguous_in_both(refined: bool) -> None:
+    half = default_targets(1, seed=3, width_m=0.3)[0].pixels
+    half = half[: len(half) // 2]
+    image = TargetImage("card", np.ascontiguousarray(np.vstack((half, half[::-1, ::-1]))), 0.3)
+    parameters = parameters_from({**OFF, "refinement.enabled": refined})
+    chain, six = Localizer(parameters, prepare_references([image], parameters)), Six(parameters, [image])
+    found = 0
+    for simulated in simulate_sequence(Simulation(640, 480, frames=4, seed=6), [image]):
+        posed = six.work(simulated.frame).result
+        assert posed is not None
+        for result in (chain.process(simulated.frame).first, posed.first):
+            assert result.pose is None
+            if result.homography is not None:
+                assert result.pose_status is PoseStatus.AMBIGUOUS and "turned by 180 degrees" in result.reason
+                assert len(result.solutions) >= 2
+                found += 1
+    assert found >= 6

@@ -115,7 +115,13 @@ class PoseStage(TargetStage):
         if number not in estimates:
             return ReferenceResult(target.name, number, Status.LOST, reason=no_homography())
         matches = agreeing[number]
-        place = Located(matches.template_xy, matches.image_xy, estimates[number], halvings=int(number not in sharp))
+        place = Located(
+            matches.template_xy,
+            matches.image_xy,
+            estimates[number],
+            halvings=int(number not in sharp),
+            alike=target.symmetries,
+        )
         found = ReferenceResult(target.name, number, Status.DETECTED, matches=matches)
         try:
             return target.pose(found, place, frame)
