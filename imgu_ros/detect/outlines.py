@@ -15,8 +15,8 @@ from imgu_ros.reference.reference import Reference
 from imgu_ros.types import Floats, Image, Matrix3, Points
 from imgu_ros.vision.processing.quadrilaterals import find_quadrilaterals
 
-#: Side of the images that are compared, px.
-_SIDE_PX = 64
+#: Sides of the images that are compared, px: of all outlines, and of so many that then look most like a reference.
+_COARSE_PX, _FINE_PX, _COMPARED = 20, 64, 60
 #: Longer side of the image in which outlines are sought, px: halved at least once.
 _LONGEST_PX = 640
 #: Correlation with the reference from which on an outline may be its own, and how many are tried of each reference, of
@@ -42,7 +42,7 @@ class OutlineSearch:
 
     def __init__(self, references: Sequence[Reference]) -> None:
         self._references = {reference.name: reference for reference in references}
-        self._known: dict[tuple[str, bool], Floats] = {}
+        self._known: dict[tuple[str, bool, int], Floats] = {}
 
     def places(self, context: FrameContext, wanted: Sequence[Reference]) -> Mapping[str, list[Matrix3]]:
         """Return where references may be, by name: H_image_template in ideal px, the likeliest first.
@@ -62,12 +62,14 @@ class OutlineSearch:
         if not len(found):
             return {}
         corners = (found + 0.5) * 2**halvings - 0.5
-        seen = self._seen(context, corners)
-        lens = distorting_camera(context.frame.camera)
+        linear, lens = image.is_linear, distorting_camera(context.frame.camera)
+        seen = _seen(context, corners, _COARSE_PX)
         places: dict[str, list[Matrix3]] = {}
         for reference in wanted:
-            similarity = seen @ self._turned(reference, image.is_linear).T
-            chosen = _best(similarity, corners)
+            similarity = (seen @ self._turned(reference, linear, _COARSE_PX).T).max(axis=1)
+            likely = corners[np.argsort(-similarity, kind="stable")[:_COMPARED]]
+            similarity = _seen(context, likely, _FINE_PX) @ self._turned(reference, linear, _FINE_PX).T
+            chosen = _best(similarity, likely)
             if lens is not None:
                 ideal = [lens.ideal_pixels(each) for each in chosen]
                 chosen = [xy for xy, valid in ideal if valid.all()]
@@ -77,35 +79,36 @@ class OutlineSearch:
             ]
         return places
 
-    def _seen(self, context: FrameContext, corners: Floats) -> Floats:
-        """Return what a frame shows in quadrilaterals, (N, _SIDE_PX^2), of mean 0 and norm 1; 0 where it is plain."""
-        image = context.image
-        grid = (np.arange(_SIDE_PX) + 0.5) / _SIDE_PX
-        u, v = np.meshgrid(grid, grid)
-        unit = np.stack((u.ravel(), v.ravel(), np.ones(u.size)))
-        at = _from_unit_square(corners) @ unit
-        at = at[:, :2] / at[:, 2:]
-        sides = np.hypot(*np.moveaxis(np.roll(corners, -1, axis=1) - corners, -1, 0))
-        steps = np.log2(np.maximum(np.sqrt(sides.max(axis=1) * sides.mean(axis=1)) / _SIDE_PX, 1.0))
-        levels = np.minimum(np.rint(steps).astype(int), image.most_halvings)
-        seen = np.zeros((len(corners), _SIDE_PX**2))
-        for level in np.unique(levels):
-            chosen = levels == level
-            x, y = np.moveaxis(((at[chosen] + 0.5) / 2.0**level - 0.5).astype(np.float32), 1, 0)
-            border = cv2.BORDER_REPLICATE
-            seen[chosen] = cv2.remap(image.halved(int(level)), x, y, cv2.INTER_LINEAR, borderMode=border)
-        return _normalised(seen)
-
-    def _turned(self, reference: Reference, linear: bool) -> Floats:
-        """Return how a reference looks from each of its corners on, (4, _SIDE_PX^2)."""
-        key = reference.name, linear
+    def _turned(self, reference: Reference, linear: bool, side: int) -> Floats:
+        """Return how a reference looks from each of its corners on, (4, side^2)."""
+        key = reference.name, linear, side
         if key not in self._known:
             octaves = reference.templates[linear]
-            octave = min(octaves, key=lambda each: abs(math.log(min(each.level.image.shape) / (2 * _SIDE_PX))))
-            small = cv2.resize(octave.level.image, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
+            octave = min(octaves, key=lambda each: abs(math.log(min(each.level.image.shape) / (2 * side))))
+            small = cv2.resize(octave.level.image, (side, side), interpolation=cv2.INTER_AREA)
             turned = np.stack([np.rot90(small, -k).ravel() for k in range(4)]).astype(np.float64)
             self._known[key] = _normalised(turned)
         return self._known[key]
+
+
+def _seen(context: FrameContext, corners: Floats, side: int) -> Floats:
+    """Return what a frame shows in quadrilaterals, (N, side^2), of mean 0 and norm 1; 0 where it is plain."""
+    image = context.image
+    grid = (np.arange(side) + 0.5) / side
+    u, v = np.meshgrid(grid, grid)
+    unit = np.stack((u.ravel(), v.ravel(), np.ones(u.size)))
+    at = _from_unit_square(corners) @ unit
+    at = at[:, :2] / at[:, 2:]
+    sides = np.hypot(*np.moveaxis(np.roll(corners, -1, axis=1) - corners, -1, 0))
+    steps = np.log2(np.maximum(np.sqrt(sides.max(axis=1) * sides.mean(axis=1)) / side, 1.0))
+    levels = np.minimum(np.rint(steps).astype(int), image.most_halvings)
+    seen = np.zeros((len(corners), side**2))
+    for level in np.unique(levels):
+        chosen = levels == level
+        x, y = np.moveaxis(((at[chosen] + 0.5) / 2.0**level - 0.5).astype(np.float32), 1, 0)
+        border = cv2.BORDER_REPLICATE
+        seen[chosen] = cv2.remap(image.halved(int(level)), x, y, cv2.INTER_LINEAR, borderMode=border)
+    return _normalised(seen)
 
 
 def _best(similarity: Floats, corners: Floats) -> list[Points]:

@@ -33,7 +33,7 @@ class Limit:
 
 LIMITS = {
     "tracked": Limit(275, 24, 114, {5: 2137, 4: 2137}),
-    "empty": Limit(4960, 54, 2310, {5: 36900, 4: 38700}),
+    "empty": Limit(4980, 54, 2310, {5: 37200, 4: 38900}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}
 

@@ -168,7 +168,8 @@ def test_a_replay_that_is_killed_has_every_row(bag: Path, tmp_path: Path) -> Non
     wait_for_the_other(out)
     assert rows(out) == LAST
     assert visible(out) == STOPPED
-    assert 0 < frames_of(out / "results") <= LAST
+    # Whole, with what had reached its process: on a slow machine that may just have started.
+    assert frames_of(out / "results") <= LAST
 
 
 def test_a_replay_whose_processes_are_all_killed_has_every_row_and_can_be_replaced(
