@@ -130,8 +130,9 @@ class ReferenceDetector:
             places = self._outlines.places(context, wanted)
         fit = RobustFit(context.frame, context.image, 1.0, self._parameters, context.clock)
         for reference in wanted:
-            missing = ReferenceResult(reference.name, reference.number, Status.LOST)
-            yield fit.locate_at(missing, reference, places.get(reference.name, ()))
+            if reference.name in places:
+                missing = ReferenceResult(reference.name, reference.number, Status.LOST)
+                yield fit.locate_at(missing, reference, places[reference.name])
 
     def _search(
         self,

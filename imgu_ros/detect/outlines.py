@@ -17,6 +17,8 @@ from imgu_ros.vision.processing.quadrilaterals import find_quadrilaterals
 
 #: Sides of the images that are compared, px: of all outlines, and of so many that then look most like a reference.
 _COARSE_PX, _FINE_PX, _COMPARED = 20, 64, 60
+#: Of many references only those are compared finely that something looks most like: bounds time.
+_MOST_REFERENCES = 3
 #: Longer side of the image in which outlines are sought, px: halved at least once.
 _LONGEST_PX = 640
 #: Correlation with the reference from which on an outline may be its own, and how many are tried of each reference, of
@@ -64,10 +66,10 @@ class OutlineSearch:
         corners = (found + 0.5) * 2**halvings - 0.5
         linear, lens = image.is_linear, distorting_camera(context.frame.camera)
         seen = _seen(context, corners, _COARSE_PX)
+        coarse = {each.name: (seen @ self._turned(each, linear, _COARSE_PX).T).max(axis=1) for each in wanted}
         places: dict[str, list[Matrix3]] = {}
-        for reference in wanted:
-            similarity = (seen @ self._turned(reference, linear, _COARSE_PX).T).max(axis=1)
-            likely = corners[np.argsort(-similarity, kind="stable")[:_COMPARED]]
+        for reference in sorted(wanted, key=lambda each: -coarse[each.name].max())[:_MOST_REFERENCES]:
+            likely = corners[np.argsort(-coarse[reference.name], kind="stable")[:_COMPARED]]
             similarity = _seen(context, likely, _FINE_PX) @ self._turned(reference, linear, _FINE_PX).T
             chosen = _best(similarity, likely)
             if lens is not None:
