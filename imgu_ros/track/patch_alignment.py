@@ -66,22 +66,18 @@ _COARSE_STEPS = 8
 _COARSE_ENOUGH_PX = 0.2
 #: Most iterations in the level that gives the result. Measured: benchmarks/thresholds.py, study tracking.
 _FINE_STEPS = 10
-#: Motion below which iterations stop there, px of the level: the last fit is exact to first order in it. Measured:
-#: benchmarks/thresholds.py, study tracking.
+#: Motion below which they stop there, px of the level. Measured: benchmarks/thresholds.py, study tracking.
 _FINE_ENOUGH_PX = 0.15
 #: Smallest correlation of a patch that is used. Measured: benchmarks/thresholds.py, study tracking.
 _MIN_SIMILARITY = 0.5
-#: Largest displacement of a patch that is used, as a share of its side. Measured: benchmarks/thresholds.py, study
-#: tracking.
+#: Largest displacement of a patch, as a share of its side. Measured: benchmarks/thresholds.py, study tracking.
 _FARTHEST_SHARE = 0.5
-#: Fewest patches that must be usable in each iteration; a homography needs four. Measured: benchmarks/thresholds.py,
-#: study tracking.
+#: Fewest usable patches in each iteration; H needs four. Measured: benchmarks/thresholds.py, study tracking.
 _FEWEST_AT_FIRST = 6
 #: Number of patches in the first iterations; the others join when these move little. Measured:
 #: benchmarks/thresholds.py, study tracking.
 _SCOUTS = 60
-#: The other patches join when the first ones move less, px of the level. Measured: benchmarks/thresholds.py, study
-#: tracking.
+#: The others join when these move less, px of the level. Measured: benchmarks/thresholds.py, study tracking.
 _SCOUTED_PX = 0.3
 #: Largest motion in the last iteration that still counts as converged, px of the level. Measured:
 #: benchmarks/thresholds.py, study tracking.
@@ -92,8 +88,7 @@ _SHARP_SIMILARITY = 0.9
 #: Factor on the motion at which iterations stop, where the image is blurred. Measured: benchmarks/thresholds.py, study
 #: blur.
 _BLURRED_SHARE = 0.2
-#: With fewer patches an affine motion is fitted: two parameters less. Measured: benchmarks/thresholds.py, study
-#: tracking.
+#: With fewer patches an affine motion is fitted. Measured: benchmarks/thresholds.py, study tracking.
 _ENOUGH_FOR_PROJECTIVE = 40
 #: Factor by which lens distortion may enlarge patches. Measured: benchmarks/thresholds.py, study tracking.
 _MOST_STRETCHED = 1.3
@@ -168,6 +163,11 @@ def align_patches(
             if start.halvings > _MOST_BLURRED:
                 return start.result(min_points)
             return refined_on_samples(frame, reference, start.outcome, camera, min_points, hints)
+        if edges is not None and reach_px <= _DIRECT_PX:
+            # Of a small marker too few patches are in view for anything else.
+            with contextlib.suppress(EstimationError):
+                return _aligned(frame, reference, H, camera, parameters, min_points, reach_px).result(min_points)
+            return refined_on_samples(frame, reference, edges, camera, min_points, hints, must_settle=False)
     return _aligned(frame, reference, H, camera, parameters, min_points, reach_px).result(min_points)
 
 

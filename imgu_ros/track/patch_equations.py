@@ -10,7 +10,7 @@ import numpy as np
 
 from imgu_ros.errors import DegenerateConfiguration, NoConsensus
 from imgu_ros.image.raw_samples import Singles
-from imgu_ros.types import Floats, Mask, Points
+from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points
 
 #: A patch whose displacement is farther from the plane's motion is an outlier: chi-squared of 2 degrees of freedom.
 #: Measured: benchmarks/thresholds.py, study samples.
@@ -62,6 +62,43 @@ class PatchSolution:
         this2, before2 = float(motion @ self.information @ motion), float(before @ self.information @ before)
         # The next is to this one as this one to the one before.
         return before2 > 0 and this2 * min(this2 / before2, 1.0) < _SETTLED**2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SitesFit:
+    """The motion of a plane by the raw samples.
+
+    Attributes
+    ----------
+    H : H_image_picture
+    chosen : (N,) index of each patch among the given centres
+    kept : (N,) patches that agree
+    displacements : (N, 2) px, by how much more their own samples would move them
+    T : (3, 3) similarity of the image that makes its points of moderate size
+    information : (8, 8) of the motion (p0 ... p7), I - D the motion of the normalised image, D = [[p0 p1 p2] [p3 p4 p5]
+        [p6 p7 0]]
+    covariance : (8, 8) of the motion, with what the residuals tell of errors beside noise
+    doubted : (8, 8) beside it, of what moves all patches alike: the motion while rows, or all, are exposed
+    own_px : standard deviation of the patches' own displacements, beside noise
+    registration_px : error of the prediction at a site, as if it were displaced by so much
+    noise : variance of a bright site, share of full scale squared
+    moved_px : largest motion of a patch in the last step
+    spread : (3,) what the point spread is wider than assumed, px^2: variances xx, xy, yy
+    """
+
+    H: Matrix3
+    chosen: Indices
+    kept: Mask
+    displacements: Points
+    T: Matrix3
+    information: Floats
+    covariance: Floats
+    doubted: Floats
+    own_px: float
+    registration_px: float
+    noise: float
+    moved_px: float
+    spread: Floats
 
 
 class PatchEquations:

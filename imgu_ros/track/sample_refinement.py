@@ -18,7 +18,8 @@ from imgu_ros.pose.planar_pose import Located
 from imgu_ros.reference.code_reading import where_read
 from imgu_ros.reference.reference import Reference
 from imgu_ros.result import SampledPatches
-from imgu_ros.track.site_alignment import SiteAlignment, SitesFit
+from imgu_ros.track.patch_equations import SitesFit
+from imgu_ros.track.site_alignment import SiteAlignment
 from imgu_ros.types import Floats, Matrix3, Points
 from imgu_ros.vision.camera.distortion import distort
 from imgu_ros.vision.camera.intrinsics import Camera
@@ -145,6 +146,7 @@ def refined_on_samples(
     camera: Camera | None,
     min_points: int,
     hints: FrameHints,
+    must_settle: bool = True,
 ) -> PatchAlignment:
     """Return the alignment by the raw samples.
 
@@ -155,6 +157,7 @@ def refined_on_samples(
     camera : intrinsics when the lens distorts; else None
     min_points : patches that must agree
     hints : what earlier frames tell
+    must_settle : see `SiteAlignment.fit`
 
     Raises
     ------
@@ -175,7 +178,7 @@ def refined_on_samples(
     size = reference.size if reference.ends_at_border else None
     alignment = SiteAlignment(mosaic, levels, start.H, centres, lens, scan, hints.spread, max(min_points, 6), size)
     before = start.before
-    fit = alignment.fit(agreeing=None if before is None else before.kept)
+    fit = alignment.fit(None if before is None else before.kept, must_settle)
     found = _located(fit, start, camera, min_points)
     H_seen = None if scan is None else fit_homography(centres, scan.seen(mapped(fit.H, centres))).H
     scale = alignment.scale if before is None else before.scale

@@ -21,7 +21,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -40,7 +39,14 @@ from imgu_ros.image.raw_samples import (
     undistorted,
 )
 from imgu_ros.image.transfer_fit import CurveSamples
-from imgu_ros.track.patch_equations import PatchEquations, median_of, noise_of, smooth_misfit_of
+from imgu_ros.track.patch_equations import (
+    PatchEquations,
+    PatchSolution,
+    SitesFit,
+    median_of,
+    noise_of,
+    smooth_misfit_of,
+)
 from imgu_ros.types import Floats, Indices, Mask, Matrix3, Points
 
 #: Side of a patch, px of the mosaic; even: it begins at a quad.
@@ -65,6 +71,8 @@ _SCOUTS, _SCOUTED_PX = 32, 0.2
 _ITERATIONS = 10
 #: A motion that goes to and fro between two choices of what agrees is in the covariance up to so much, px.
 _TO_AND_FRO_PX = 0.1
+#: Moves farther by this factor, after such a small one, lead away from where it had nearly settled.
+_AWAY = 8.0
 #: A change of the spread below these is linear, or does not matter for the next iteration, px^2.
 _SMALL_SPREAD, _SAME_SPREAD = 0.1, 0.01
 #: Of edges that are known exactly: the spread of a sharp frame, px^2; up to this iteration it settles to so much, px^2;
@@ -91,43 +99,6 @@ _RIM_PX = 1.0
 _EVERY = 7
 #: From so much below the white level on, a share of the span, a sample may be clipped.
 _NEARLY_WHITE = 0.01
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SitesFit:
-    """The motion of a plane by the raw samples.
-
-    Attributes
-    ----------
-    H : H_image_picture
-    chosen : (N,) index of each patch among the given centres
-    kept : (N,) patches that agree
-    displacements : (N, 2) px, by how much more their own samples would move them
-    T : (3, 3) similarity of the image that makes its points of moderate size
-    information : (8, 8) of the motion (p0 ... p7), I - D the motion of the normalised image, D = [[p0 p1 p2] [p3 p4 p5]
-        [p6 p7 0]]
-    covariance : (8, 8) of the motion, with what the residuals tell of errors beside noise
-    doubted : (8, 8) beside it, of what moves all patches alike: the motion while rows, or all, are exposed
-    own_px : standard deviation of the patches' own displacements, beside noise
-    registration_px : error of the prediction at a site, as if it were displaced by so much
-    noise : variance of a bright site, share of full scale squared
-    moved_px : largest motion of a patch in the last step
-    spread : (3,) what the point spread is wider than assumed, px^2: variances xx, xy, yy
-    """
-
-    H: Matrix3
-    chosen: Indices
-    kept: Mask
-    displacements: Points
-    T: Matrix3
-    information: Floats
-    covariance: Floats
-    doubted: Floats
-    own_px: float
-    registration_px: float
-    noise: float
-    moved_px: float
-    spread: Floats
 
 
 class SiteAlignment:
@@ -259,12 +230,13 @@ class SiteAlignment:
         if self._buffers.shape[1] < len(self._offsets) * self._x.size:
             self._buffers = np.empty((3, len(self._offsets) * self._x.size), np.float32)
 
-    def fit(self, agreeing: Mask | None = None) -> SitesFit:
+    def fit(self, agreeing: Mask | None = None, must_settle: bool = True) -> SitesFit:
         """Return the plane's motion.
 
         Parameters
         ----------
         agreeing : which of the given patches agreed in a frame before; None: unknown
+        must_settle : else, where it goes away from where it had nearly settled, that is the answer
         """
         noise, registration, own = _FIRST_NOISE, _FIRST_REGISTRATION_PX**2, 0.0
         total = len(self._at)
@@ -273,6 +245,8 @@ class SiteAlignment:
         # Edges that are known exactly tell much, and each in one direction: all at once.
         count = total if self._is_exact else min(_SCOUTS, total)
         last, unsettled = np.zeros(8), np.zeros(8)
+        nearest: tuple[float, PatchSolution, Matrix3, Floats] | None = None
+        is_lost = False
         for iteration in range(_MORE_ITERATIONS if self._is_exact else _ITERATIONS):
             slope2, by = self._predict(count), self._by[:count]
             usable, brightness = self._usable[:count], self._brightness[:count]
@@ -296,6 +270,16 @@ class SiteAlignment:
                     own, kept, spread = solution.own, solution.kept, solution.theta[8:]
                     moved = self._moved(solution.theta, by)
                     break
+            if (
+                not must_settle
+                and moved <= _TO_AND_FRO_PX
+                and count == total
+                and (nearest is None or moved < nearest[0])
+            ):
+                nearest = moved, solution, self._G, self._spread
+            elif nearest is not None and moved > max(_TO_AND_FRO_PX, _AWAY * nearest[0]):
+                is_lost = True
+                break
             last = solution.theta[:8]
             self._shade(*equations.gains)
             if np.abs(spread).max() > (_SMALL_SPREAD if self._is_exact and iteration > _STEADY_AFTER else _SAME_SPREAD):
@@ -303,10 +287,15 @@ class SiteAlignment:
             if count < total and moved < _SCOUTED_PX:
                 count = total
         else:
-            if moved > _TO_AND_FRO_PX or len(solution.kept) < total:
+            is_lost = moved > _TO_AND_FRO_PX or len(solution.kept) < total
+            if is_lost and (must_settle or nearest is None):
                 raise NoConsensus(f"sites: they still move by {moved:.2f} px; need a better start")
             # To and fro between two choices of what agrees.
             unsettled = last
+        if is_lost and nearest is not None:
+            # Few patches of a sharp frame: away again from where they had nearly settled.
+            moved, solution, self._G, self._spread = nearest
+            own, kept, spread, unsettled = solution.own, solution.kept, solution.theta[8:], solution.theta[:8]
         H = np.linalg.inv(self._G @ self.T)
         covariance = np.linalg.inv(solution.information) * self._inflation(smooth_misfit_of(solution, self._normalised))
         covariance += np.outer(unsettled, unsettled)

@@ -32,7 +32,7 @@ class Limit:
 
 
 LIMITS = {
-    "tracked": Limit(275, 24, 114, {5: 2137, 4: 2137}),
+    "tracked": Limit(275, 24, 114, {5: 2137, 4: 2155}),
     "empty": Limit(4980, 54, 2310, {5: 37200, 4: 38900}),
 }
 STATUS = {"tracked": Status.TRACKED, "empty": Status.LOST}

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from imgu_ros.errors import EstimationError, NoConsensus
 from imgu_ros.image.raw_samples import Lens, LightLevel, Mosaic, RowScan, light_levels
-from imgu_ros.track.patch_equations import noise_of
-from imgu_ros.track.site_alignment import SiteAlignment, SitesFit
+from imgu_ros.track.patch_equations import SitesFit, noise_of
+from imgu_ros.track.site_alignment import SiteAlignment
 
 WIDTH, HEIGHT = 320, 240
 STEPS = 6
