@@ -36,7 +36,7 @@ def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, Rigid
 
     The error of each reference's pose is its own (other pixels, other noise). Their places are taken as exact as long
     as that explains the poses. When references contradict each other, all are taken to be misplaced, their corners by
-    the same standard deviation, as large as explains it.
+    the same standard deviation, as large as explains it; or, where a width is not known, the covariance grows instead.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def camera_in_map(results: Iterable[ReferenceResult], places: Mapping[str, Rigid
         (found, found.pose, places[found.name]) for found in results if found.pose is not None and found.name in places
     ]
     poses = [pose_seen_from(place, pose.inverse()) for _, pose, place in seen]
-    if len(poses) < 2:
+    if len(poses) < 2 or not all(found.width_m for found, _, _ in seen):
         return fuse_poses(poses) if poses else None
     slack = [
         _misplacement(place.t - pose.t, found.width_m) for (found, _, place), pose in zip(seen, poses, strict=True)
