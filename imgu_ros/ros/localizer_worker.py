@@ -17,6 +17,7 @@ from imgu_ros.files.frame_reading import FrameReading, frame_reading
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import PreparedLocalizer, prepare_localizer, rejected
 from imgu_ros.messages.header import Header, decode_header
+from imgu_ros.process_memory import return_free_memory
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.size_checks import SizeChecks
 from imgu_ros.reference.templates import TargetImage
@@ -165,6 +166,7 @@ class LocalizerWorker(FrameWorker):
         built = prepare_localizer(images, self._parameters() if parameters is None else parameters, self._built)
         # Not in `use`, while frames wait.
         self._judged = built, load_remarks(built.references, built.parameters.raw.transfer != "srgb")
+        return_free_memory()
         return built
 
     def read_with(self, reading: FrameReading, parameters: Parameters) -> None:
@@ -181,6 +183,7 @@ class LocalizerWorker(FrameWorker):
             self._built = built
             self.sizes = SizeChecks(built.references)
             self.poor_targets = self._judged[1] if self._judged is not None and self._judged[0] is built else {}
+            self._judged = None
             self._last = None
             self.failures.clear()
 
