@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
         "targets", nargs="*", metavar="TARGET",
-        help="an image file or a marker such as tag36h11:7, as in targets.images; default: those of targets.images",
+        help="an image file, a marker such as tag36h11:7 or a board file, as in targets.images, which is the default",
     )  # fmt: skip
     parser.add_argument(
         "--width-m", type=float, metavar="W", help="printed width of every TARGET, m; for distances in m"
