@@ -41,6 +41,7 @@ setup(
     entry_points={"console_scripts": ["imgu = imgu_ros.cli.main:main"]},
     zip_safe=False,
     install_requires=[
+        "av>=12",  # reads video files
         'backports.zstd>=1.0; python_version < "3.14"',
         "jinja2>=3.1",
         "lz4>=4.0",
@@ -48,6 +49,7 @@ setup(
         "matplotlib>=3.6",
         "numpy>=1.26",
         "opencv-python-headless>=4.6",
+        "pillow>=10.0",  # when a picture was taken
         "PyYAML>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",
@@ -67,7 +69,6 @@ setup(
             "coverage>=7.4",
             "hypothesis>=6.98",
             "mypy>=1.11",
-            "pillow>=10.0",
             "pypdfium2>=4.30",
             "pytest>=7.4",
             "pytest-cov>=5",

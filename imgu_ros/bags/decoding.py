@@ -68,6 +68,8 @@ class MessageDecoder:
             If it is damaged, of neither, or cannot be converted.
         """
         channel = raw.channel
+        if raw.message is not None:
+            return bytes(typestore().serialize_cdr(raw.message, channel.type_name))
         if channel.serialization == Serialization.CDR and self.type_error(channel):
             return bytes(raw.data)  # a type that the receiver may know
         message = self.decoded(raw)

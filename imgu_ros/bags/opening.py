@@ -23,7 +23,7 @@ from imgu_ros.errors import BagError
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _FORMATS = {MCAP_MAGIC: MCAP, ROSBAG1_MAGIC: ROSBAG1}
-NEED = "need a ROS 1 bag, or a rosbag2 folder, .mcap or .db3 file"
+NEED = "need a ROS 1 bag, a rosbag2 folder, .mcap or .db3 file, a video, or pictures"
 
 
 def require_different(paths: Sequence[Path]) -> None:

@@ -12,8 +12,11 @@ from typing import Any, Self
 
 from imgu_ros.bags.compression import Expansion, decompressed_message
 from imgu_ros.bags.decoding import MessageDecoder
+from imgu_ros.bags.frame_files import InputKind, UnreadableFrame, recording_files
 from imgu_ros.bags.opening import NEED, FileOpener, require_different
+from imgu_ros.bags.pictures import PictureStorage
 from imgu_ros.bags.storage import Channel, RawMessage, Storage, WarningLog, merge_by_time, seconds
+from imgu_ros.bags.videos import VideoStorage
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
 from imgu_ros.errors import BagError
 
@@ -45,13 +48,17 @@ class BagMessage:
     message: Any
 
 
-def open_bag(paths: Sequence[Path], *, limits: LimitsParameters = DEFAULT_LIMITS) -> Bag:
-    """Open one or several bags, to be read as one.
+def open_bag(paths: Sequence[Path], *, limits: LimitsParameters = DEFAULT_LIMITS, rate_hz: float = 0.0) -> Bag:
+    """Open one or several recordings, to be read as one: bags, videos, or pictures.
+
+    Videos and pictures are one topic, `/image_raw`. A video's time 0 is its first frame; several follow one another.
 
     Parameters
     ----------
-    paths : each a ROS 1 bag, a rosbag2 folder (or its metadata.yaml), or a single .mcap, .db3 or .zstd file of one
+    paths : bags: each a ROS 1 bag, a rosbag2 folder (or its metadata.yaml), or a single .mcap, .db3 or .zstd file of
+        one; or video files; or pictures; or folders of, or patterns for, one of these
     limits : what reading may cost
+    rate_hz : pictures a second; 0: their names or Exif tell when they were taken, see `PictureStorage`
 
     Returns
     -------
@@ -66,11 +73,22 @@ def open_bag(paths: Sequence[Path], *, limits: LimitsParameters = DEFAULT_LIMITS
     """
     if not paths:
         raise BagError(f"no bag given; {NEED}")
-    require_different(paths)
+    files = recording_files(paths)
+    require_different(files.paths)
+    if rate_hz and files.kind is not InputKind.PICTURES:
+        raise BagError(f"rate: {rate_hz:g} Hz for a {files.kind}, which has times; need it for pictures alone")
+    warnings = WarningLog()
     with ExitStack() as stack:
-        opening = FileOpener(limits, WarningLog(), stack)
-        storages = [storage for path in paths for storage in opening.storages(Path(path))]
-        return Bag(storages, opening.warnings, stack.pop_all(), limits)
+        storages: list[Storage]
+        match files.kind:
+            case InputKind.VIDEO:
+                storages = [VideoStorage(files.paths, warnings)]
+            case InputKind.PICTURES:
+                storages = [PictureStorage(files.paths, rate_hz, warnings, limits)]
+            case InputKind.BAG:
+                opening = FileOpener(limits, warnings, stack)
+                storages = [storage for path in files.paths for storage in opening.storages(path)]
+        return Bag(storages, warnings, stack.pop_all(), limits)
 
 
 class Bag:
@@ -135,7 +153,7 @@ class Bag:
         expansion = Expansion(self._limits)
         for raw in self.raw_messages(topics):
             try:
-                message = self._decoder.decoded(self._plain(raw, expansion))
+                message = raw.message or self._decoder.decoded(self._plain(raw, expansion))
             except BagError as error:
                 self._warn_of_message(raw, error)
                 continue
@@ -167,6 +185,8 @@ class Bag:
         expansion = Expansion(self._limits)
         for raw in self.raw_messages(topics):
             try:
+                if isinstance(raw.message, UnreadableFrame):
+                    raise BagError(raw.message.reason)
                 data = self._decoder.cdr(self._plain(raw, expansion))
             except BagError as error:
                 self._warn_of_message(raw, error)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 
+from imgu_ros.bags.frame_files import UnreadableFrame
 from imgu_ros.bags.reading import Bag, BagTopic
 from imgu_ros.bags.topics import find_camera_info_topic, find_image_topic, image_topics
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
@@ -110,6 +111,8 @@ def recorded_images(
     for message in bag.messages([choice.topic.name]):
         stamp_ns = decode_header(message.message).stamp_ns
         try:
+            if isinstance(message.message, UnreadableFrame):
+                raise EncodingError(message.message.reason)
             frame = decode_frame(message.message, None, rectified=False, encoding=encoding, limits=limits)
         except EncodingError as error:
             yield RecordedImage(stamp_ns, None, str(error), tuple(remarks.news([choice.remark])))

@@ -112,7 +112,8 @@ def recording(folder: Path, warnings: WarningLog, limits: LimitsParameters = DEF
     if announced is None:
         if not present:
             raise BagError(
-                f"{folder}: no bag in this folder; need .mcap or .db3 files, and their {METADATA} (name a .bag itself)"
+                f"{folder}: no bag, video or picture in this folder; need .mcap or .db3 files, and their {METADATA} "
+                "(name a .bag itself)"
             )
         return RecordingFolder(tuple(SplitFile(path, -1) for path in present))
     found = {name: _located(entries, name) for name in announced.files}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from operator import itemgetter
-from typing import Protocol
+from typing import Any, Protocol
 
 from imgu_ros.shown_text import shown
 
@@ -60,12 +60,14 @@ class RawMessage:
     ----------
     channel : where it belongs
     time_ns : when it was recorded
-    data : its serialised bytes, decompressed
+    data : its serialised bytes, decompressed; none where the message was made here
+    message : made here, of a video's or a picture's pixels; None: it is in `data`
     """
 
     channel: Channel
     time_ns: int
     data: bytes | memoryview
+    message: Any = None
 
 
 class WarningLog:

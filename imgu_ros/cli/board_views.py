@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a chessboard in image files or in a bag: what `imgu calibrate` works from."""
+"""Views of a chessboard in image files or in a recording: what `imgu calibrate` works from."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from imgu_ros.bags.frame_files import is_picture_name, is_recording, natural_order
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.bags.recorded_images import recorded_images
 from imgu_ros.cli.picture_layout import picture_layout
@@ -21,8 +22,6 @@ from imgu_ros.vision.camera.chessboard import FEWEST_CORNERS, Chessboard, find_c
 from imgu_ros.vision.camera.view_choice import choose_views
 from imgu_ros.vision.formation.layout import RawImage
 
-_RECORDINGS = {".bag", ".mcap", ".db3", ".zstd"}
-_IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".bmp"}
 #: Pictures on which other sizes of the board are tried when none was found.
 _KEPT_FOR_HINT = 2
 #: Of a bag's pictures in which the quick detector finds nothing, one in so many goes through the slow one.
@@ -85,7 +84,7 @@ def find_board_views(
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
     on_trial: Callable[[int, int | None], None] = lambda done, total: None,
 ) -> BoardViews:
-    """Look for the board in image files, folders of them, or one bag.
+    """Look for the board in image files, folders of them, or one recording: a bag, or videos.
 
     Parameters
     ----------
@@ -104,9 +103,9 @@ def find_board_views(
     FileError, BagError, ParameterError
         If a path does not exist, or a bag cannot be read; `pattern` is for image files alone, `image_topic` for bags.
     """
-    bags = [path for path in paths if _is_bag(path)]
+    bags = [path for path in paths if is_recording(path)]
     if bags and len(bags) < len(paths):
-        raise ParameterError(f"{paths[0]}: bags and images mixed; need one bag, or images")
+        raise ParameterError(f"{paths[0]}: bags and images mixed; need one recording, or images")
     if bags and pattern:
         raise ParameterError(f"--pattern: {pattern} for a bag; need -p raw.encoding:=bayer_{pattern}8")
     if not bags and parameters.image_topic:
@@ -242,22 +241,16 @@ def _developed(name: str, image: RawImage, parameters: Parameters) -> _Picture:
         return _Picture(name, None, str(error))
 
 
-def _is_bag(path: Path) -> bool:
-    if path.is_dir():
-        return any(entry.suffix in _RECORDINGS or entry.name == "metadata.yaml" for entry in path.iterdir())
-    return path.suffix in _RECORDINGS or path.name == "metadata.yaml"
-
-
 def _image_files(paths: Sequence[Path]) -> tuple[Path, ...]:
     files: list[Path] = []
     for path in paths:
         if not path.exists():
-            raise FileError(f"{path}: No such file or directory; need a bag, images or folders of images")
+            raise FileError(f"{path}: No such file or directory; need a bag, a video, images or folders of images")
         if not path.is_dir():
             files.append(path)
             continue
-        inside = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _IMAGE_SUFFIXES)
+        inside = sorted(filter(is_picture_name, path.iterdir()), key=natural_order)
         if not inside:
-            raise FileError(f"{path}: no image in it; need PNG, JPEG, TIFF or PNM files, or a bag")
+            raise FileError(f"{path}: no image in it; need PNG, JPEG, TIFF or PNM files, a video, or a bag")
         files += inside
     return tuple(files)

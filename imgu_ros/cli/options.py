@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,18 +47,45 @@ def add_parameter_options(
     )  # fmt: skip
 
 
-def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | None = None) -> Parameters:
+def short_forms(targets: Sequence[str], widths_m: Sequence[float], camera_info: str | None) -> dict[str, object]:
+    """Return what `--target`, `--width-m` and `--camera-info` stand for, for `options` of `parameters_of`.
+
+    Raises
+    ------
+    ParameterError
+        If there are widths of more, or of some, of the targets.
+    """
+    from imgu_ros.errors import ParameterError
+
+    if len(widths_m) not in (0, len(targets)):
+        raise ParameterError(f"--width-m: {len(widths_m)} for {len(targets)} --target; need one for each, or none")
+    values: dict[str, object] = {}
+    if targets:
+        values["targets.images"] = list(targets)
+    if widths_m:
+        values["targets.widths_m"] = list(widths_m)
+    if camera_info is not None:
+        values["camera.info_file"] = camera_info
+    return values
+
+
+def parameters_of(
+    arguments: argparse.Namespace,
+    extra: Mapping[str, object] | None = None,
+    options: Mapping[str, object] | None = None,
+) -> Parameters:
     """Return the parameters that the command line asks for.
 
     Parameters
     ----------
     arguments : parsed by a parser that went through `add_parameter_options`
     extra : values that the command sets; those of the user take precedence
+    options : values of options that stand for parameters; they take precedence over files, and exclude `-p`
 
     Raises
     ------
     ParameterError
-        If a parameter is unknown, of the wrong type, out of range, or not used by the command.
+        If a parameter is unknown, of the wrong type, out of range, not used by the command, or given in two ways.
     FileError
         If a parameter file cannot be read.
     """
@@ -73,7 +100,10 @@ def parameters_of(arguments: argparse.Namespace, extra: Mapping[str, object] | N
             given.add_file(Path(text))
         else:
             overridden.append(given.add_override(text))
-    parameters = parameters_from(dict(extra or {}) | given.values())
+    twice = [name for name in options or () if name in overridden]
+    if twice:
+        raise ParameterError(f"{twice[0]}: given by -p and by an option that stands for it; need one of them")
+    parameters = parameters_from(dict(extra or {}) | given.values() | dict(options or {}))
     if parameters.raw.encoding:
         from imgu_ros.files.frame_reading import check_encoding
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the whole pipeline over one recorded image topic, offline: no DDS, no rclpy.
 
-Reads rosbag1 and rosbag2 (SQLite, MCAP, compressed); several paths are the parts of one recording. Writes into DIR:
-frames.csv (a row for every frame and target), poses_<target>.tum, ambiguous.csv, results/ (a rosbag2), summary.json
-and report.html.
+Reads rosbag1 and rosbag2 (SQLite, MCAP, compressed), video files, and pictures (files, folders, patterns); several
+paths are the parts of one recording. Writes into DIR: frames.csv (a row for every frame and target),
+poses_<target>.tum, ambiguous.csv, results/ (a rosbag2), summary.json and report.html.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgu_ros.cli.options import add_parameter_options, parameters_of
+from imgu_ros.cli.options import add_parameter_options, parameters_of, short_forms
 from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -23,8 +23,27 @@ HELP = "run the pipeline over a recorded bag: poses, a results bag, a report"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="rosbag1 file, rosbag2 folder or file")
+    parser.add_argument(
+        "bags", nargs="+", type=Path, metavar="INPUT",
+        help="a bag (rosbag1 file, rosbag2 folder or file), videos, or pictures (files, a folder, a pattern)",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results; made if needed")
+    parser.add_argument(
+        "--target", action="append", default=[], metavar="FILE",
+        help="picture of a target, or a marker such as tag36h11:7; short for -p targets.images:=...; can be repeated",
+    )  # fmt: skip
+    parser.add_argument(
+        "--width-m", action="append", type=float, default=[], metavar="W",
+        help="printed width of the target, m; one for each --target",
+    )  # fmt: skip
+    parser.add_argument(
+        "--camera-info", metavar="FILE",
+        help="calibration of the camera, as `imgu calibrate` writes it; short for -p camera.info_file:=FILE",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rate", type=_rate, default=0.0, metavar="HZ",
+        help="of pictures: so many a second; default: their names or Exif tell when they were taken",
+    )  # fmt: skip
     parser.add_argument("--truth", type=Path, metavar="FILE", help="truth.csv of `imgu simulate`: report the errors")
     parser.add_argument(
         "--record", nargs="+", action="extend", default=[], metavar="TOPIC",
@@ -38,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, print what came out, and say where it is."""
-    parameters = parameters_of(arguments)
+    options = short_forms(arguments.target, arguments.width_m, arguments.camera_info)
+    parameters = parameters_of(arguments, options=options)
     from imgu_ros.cli.progress import Progress
     from imgu_ros.replay.replay import replay
 
@@ -50,11 +70,22 @@ def run(arguments: argparse.Namespace) -> int:
             truth=arguments.truth,
             record=arguments.record,
             overwrite=arguments.overwrite,
+            rate_hz=arguments.rate,
             on_progress=progress,
             on_warning=lambda text: progress.say(f"imgu: warning: {text}"),
         )
     say(*accuracy_table(summary).split("\n"), "", arguments.out / "report.html")
     return 0
+
+
+def _rate(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}; need pictures a second, more than 0 and at most 1e6")
+    return value
 
 
 def accuracy_table(summary: Summary) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imgu_ros.bags.frame_files import UnreadableFrame
 from imgu_ros.bags.reading import Bag, BagMessage, BagTopic
 from imgu_ros.bags.recorded_images import choose_image_topic
 from imgu_ros.bags.topics import find_camera_info_topic
@@ -165,6 +166,8 @@ def size_of(read: ReadFrame) -> int:
 def _recorded(pair: Pair[BagMessage, Any], reading: FrameReading) -> RecordedFrame:
     message = pair.image.message
     try:
+        if isinstance(message, UnreadableFrame):
+            raise EncodingError(message.reason)
         frame = reading.frame(message, pair.camera_info)
         return RecordedFrame(pair.image.time_ns, frame, "")
     except EncodingError as error:

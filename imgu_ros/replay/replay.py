@@ -45,6 +45,7 @@ def replay(
     truth: Path | None = None,
     record: Sequence[str] = (),
     overwrite: bool = False,
+    rate_hz: float = 0.0,
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
     on_warning: Callable[[str], None] = lambda text: None,
 ) -> Summary:
@@ -55,12 +56,13 @@ def replay(
 
     Parameters
     ----------
-    bags : paths of one recording
+    bags : paths of one recording, see `open_bag`
     out : folder for the results; see `docs/interfaces.md` for what is written
     parameters : all parameters; `targets.images` must name at least one
     truth : truth file; the report then gives the errors
     record : outputs to write into the results bag beside those that always are
     overwrite : replace the files of an earlier replay in `out`; nothing else is ever removed
+    rate_hz : pictures a second, where their names or Exif should not tell, see `open_bag`
     on_progress : called after each frame with the number of frames done and, when it is known, of all
     on_warning : called once for each warning
 
@@ -76,7 +78,7 @@ def replay(
     check_output_folder(out, replay_contents(()), overwrite=overwrite, inputs=bags)
     warnings = _UniqueWarnings(on_warning)
     with HeldExitStack() as stack:
-        bag = stack.enter_context(open_bag(bags, limits=parameters.limits))
+        bag = stack.enter_context(open_bag(bags, limits=parameters.limits, rate_hz=rate_hz))
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one image file, -p targets.images:=FILE")
         targets = prepare_references(

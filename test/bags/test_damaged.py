@@ -250,7 +250,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
     cases = {
         "nothing": "No such file",
         "pipe": "not a regular file",
-        "folder": "no bag in this folder",
+        "folder": "no bag, video or picture in this folder",
         "metadata_only": "need .mcap or .db3 files",
         "empty.mcap": "empty file",
         "empty.db3": "empty file",
