@@ -78,6 +78,8 @@ setup(
             "types-PyYAML",
             "types-tqdm",
         ],
+        # The viewer of `imgu view`. It needs NumPy 2.
+        "view": ["rerun-sdk>=0.41"],
     },
     classifiers=[
         "Intended Audience :: Developers",

@@ -8,12 +8,18 @@ import random
 import re
 import shutil
 import socket
+import sys
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from chromium import Chromium
 
 # Before any test imports rclpy or starts a process: nothing leaves this machine.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -32,6 +38,8 @@ settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci" if os.environ.get("CI") else "default"))
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+if (BROWSER := str(REPOSITORY / "test" / "browser")) not in sys.path:  # `chromium`
+    sys.path.append(BROWSER)
 
 #: Domains whose UDP ports lie below the range that Linux gives to outgoing connections.
 _DOMAINS = range(1, 102)
@@ -102,3 +110,17 @@ def make(request):
     else:
         from imgu_ros.bags.messages import make_message
     return make_message
+
+
+@pytest.fixture
+def chromium(request: pytest.FixtureRequest) -> Iterator[Chromium]:
+    """A browser; the marker `browser_options` gives options. Skips the test without Chromium, but not in CI."""
+    from chromium import Chromium, find_chromium
+
+    if find_chromium() is None:
+        if os.environ.get("CI"):
+            pytest.fail("no chromium on the PATH; need: apt install chromium")
+        pytest.skip("no chromium on the PATH")
+    marker = request.node.get_closest_marker("browser_options")
+    with Chromium(*(marker.args if marker else ())) as browser:
+        yield browser

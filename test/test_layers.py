@@ -41,7 +41,7 @@ ORDER = (
     "shown_text", "errors", "arguments", "types", "file_access", "vision", "config", "frame", "image",
     "result", "reasons", "build_cache", "pose", "reference", "track", "camera_memory", "detect",
     "reference_kinds", "localizer", "remarks", "process_memory", "stop_signals", "threads",
-    "image_files", "messages", "files", "simulate", "check", "report", "bags", "replay", "bench", "ros", "cli",
+    "image_files", "messages", "files", "simulate", "check", "report", "bags", "replay", "view", "bench", "ros", "cli",
 )  # fmt: skip
 #: From a frame to a result: knows no message, no file and no recording.
 PIPELINE = {

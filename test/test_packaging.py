@@ -24,7 +24,7 @@ PACKAGE = REPOSITORY / "imgu_ros"
 CONSTRAINTS = ("constraints.txt", "constraints-jazzy.txt")
 #: The packages that benchmarks/ compares with need a newer NumPy than Jazzy has.
 LOCKED_EXTRAS = {
-    "constraints.txt": ("bench", "foreign", "ros", "supply", "test"),
+    "constraints.txt": ("bench", "foreign", "ros", "supply", "test", "view"),
     "constraints-jazzy.txt": ("ros", "test"),
 }
 PYTHONS = ("3.11", "3.12")
@@ -43,6 +43,10 @@ DISTRIBUTIONS = {
     "tqdm": ("tqdm", "python3-tqdm"),
     "yaml": ("pyyaml", "python3-yaml"),
 }
+
+
+#: Imported modules of optional dependencies -> the extra that has them, the name for pip, the modules that import them.
+OPTIONAL = {"rerun": ("view", "rerun-sdk", "imgu_ros.view.rerun_")}
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +143,9 @@ def test_command_exists(arguments: dict[str, Any]) -> None:
 def test_imports_are_declared(arguments: dict[str, Any], manifest: ElementTree.Element) -> None:
     required = {canonicalize_name(Requirement(line).name) for line in arguments["install_requires"]}
     keys = {item.text for item in manifest.findall("exec_depend")}
-    used = imported_roots(PACKAGE)
+    used = imported_roots(PACKAGE) - OPTIONAL.keys()
+    for extra, name, _ in OPTIONAL.values():
+        assert name in {canonicalize_name(Requirement(line).name) for line in arguments["extras_require"][extra]}
     third_party = used & DISTRIBUTIONS.keys()
     assert {DISTRIBUTIONS[root][0] for root in third_party} == required
     rosdep_keys = {DISTRIBUTIONS[root][1] for root in third_party} - {""}
@@ -224,7 +230,8 @@ for module in pkgutil.walk_packages(imgu_ros.__path__, "imgu_ros."):
 
 def test_everything_but_the_nodes_imports_without_ros() -> None:
     blocked = ["rclpy", "builtin_interfaces", "sensor_msgs", "geometry_msgs", "std_msgs", "rcl_interfaces", "tf2_msgs"]
-    code = BLOCKED_IMPORTS.format(blocked=blocked, skipped="imgu_ros.ros.")
+    skipped = ("imgu_ros.ros.", *(modules for _, _, modules in OPTIONAL.values()))
+    code = BLOCKED_IMPORTS.format(blocked=[*blocked, *OPTIONAL], skipped=skipped)
     done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
 

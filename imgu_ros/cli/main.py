@@ -24,6 +24,7 @@ COMMANDS = {
     "demo": "imgu_ros.cli.demo",
     "simulate": "imgu_ros.cli.simulate",
     "replay": "imgu_ros.cli.replay",
+    "view": "imgu_ros.cli.view",
     "play": "imgu_ros.cli.play",
     "node": "imgu_ros.cli.node",
     "match": "imgu_ros.cli.match",

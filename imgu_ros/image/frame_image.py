@@ -17,6 +17,7 @@ from imgu_ros.config.parameters import DemosaicParameters, RawParameters
 from imgu_ros.errors import ImguError, ShapeError
 from imgu_ros.frame import Frame
 from imgu_ros.image.raw_samples import Mosaic
+from imgu_ros.image.screen_picture import screen_picture
 from imgu_ros.image.transfer_fit import SRGB_CURVE, TransferCurve, TransferKind
 from imgu_ros.types import Image, as_image
 from imgu_ros.vision.formation.bands import BandMode, grey_from_bands
@@ -189,6 +190,22 @@ class FrameImage:
         if self._color is None:
             self._color = self._developed_color()
         return self._color
+
+    def for_screen(self) -> Image:
+        """Return the colour picture as a screen shows it, (H, W, 3) RGB uint8, a new array: see `screen_picture`."""
+        color, kind = self.color(), self._layout.color
+        is_mosaic = kind is ColorModel.BAYER
+        # Grey values of 8 bits are seldom a sensor's own.
+        is_sensor = is_mosaic or (kind is ColorModel.MONO and color.dtype != np.uint8)
+        is_coded = self.curve is not None and self.curve.kind is not TransferKind.LINEAR
+        # A mosaic's levels have been stretched to the type's range where they are known.
+        is_whole_range = color.dtype == np.uint8 or (is_mosaic and self._white is not None)
+        return screen_picture(
+            color,
+            white=float(np.iinfo(color.dtype).max) if is_whole_range else self._white,
+            is_light=is_sensor and self.is_linear and not is_coded,
+            is_balanced=not is_mosaic or any(gain != 1.0 for gain in self._raw.gains),
+        )
 
     @property
     def light_kind(self) -> LightKind:

@@ -34,6 +34,11 @@ def outline_message(make: MessageFactory, header: Header, outline: Points) -> An
     return make("geometry_msgs/msg/PolygonStamped", header=header_message(make, header), polygon=polygon)
 
 
+def decode_outline(message: Any) -> Points:
+    """Read a message of `outline_message`, (N, 2) px."""
+    return np.array([(point.x, point.y) for point in message.polygon.points], np.float64).reshape(-1, 2)
+
+
 def pose_message(make: MessageFactory, header: Header, pose: Pose) -> Any:
     """Return a geometry_msgs/PoseWithCovarianceStamped; the pose's destination is the header's frame."""
     return make(

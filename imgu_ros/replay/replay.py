@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -122,6 +123,7 @@ def replay(
             camera_info_file=source.camera_info_file,
             image_size="{} x {}".format(*statistics.image_size) if statistics.layout else "",
             layout=statistics.layout,
+            recording=tuple(os.path.abspath(path) for path in bags),
         )
         sizes = {target.name: target.size for target in targets}
         summary = sink.report(

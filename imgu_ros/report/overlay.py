@@ -141,14 +141,7 @@ def _background(result: Result) -> Image:
     if result.developed is None:
         height, width = result.frame.image.pixels.shape[:2] if result.frame.image.pixels.size else _NO_PICTURE
         return np.full((height, width, 3), 64, np.uint8)
-    color = result.developed.color()
-    if color.dtype == np.uint8:
-        return np.array(color)
-    # Deeper colours keep the sensor's levels, which say nothing about the screen's: stretch them for the eye.
-    step = max(1, min(color.shape[:2]) // 128)
-    low, high = (float(q) for q in np.quantile(color[::step, ::step], (0.002, 0.998)))
-    gain = 255 / (high - low) if high > low else 0.0
-    return np.asarray(cv2.addWeighted(color, gain, color, 0.0, -low * gain, dtype=cv2.CV_8U))
+    return result.developed.for_screen()
 
 
 def _draw_inliers(pen: _Pen, target: ReferenceResult) -> None:

@@ -102,18 +102,25 @@ class Samples:
 
 def _sample(index: int, result: Result) -> AnnotatedFrame:
     caption = ", ".join(f"{t.name}: {t.status.value}" for t in result)
-    return AnnotatedFrame(index, result.frame.stamp_ns, caption, _jpeg(draw_result(result)))
+    return AnnotatedFrame(index, result.frame.stamp_ns, caption, jpeg_of(draw_result(result), _LONGEST_SIDE, _QUALITY))
 
 
-def _jpeg(picture: Image) -> bytes:
+def jpeg_of(picture: Image, longest_side: int, quality: int) -> bytes:
+    """Return a picture, (H, W, 3) RGB uint8, as JPEG, reduced to at most `longest_side` px.
+
+    Raises
+    ------
+    FileError
+        If it cannot be encoded.
+    """
     longest = max(picture.shape[:2])
-    if longest > _LONGEST_SIDE:
-        scale = _LONGEST_SIDE / longest
+    if longest > longest_side:
+        scale = longest_side / longest
         height, width = picture.shape[:2]
         # A line camera's picture must not shrink to nothing.
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
-        raise FileError(f"sample frame: {picture.shape} cannot be encoded as JPEG; need a picture")
+        raise FileError(f"picture: {picture.shape} cannot be encoded as JPEG; need a picture")
     return data.tobytes()

@@ -49,6 +49,7 @@ class Source:
     camera_info_file : what was used instead of camera_info; empty: nothing
     image_size : width x height of the first frame, empty without one
     layout : of the first frame, such as `bayer rggb 16 bit`
+    recording : absolute paths of what was replayed
     """
 
     bags: tuple[str, ...]
@@ -58,6 +59,7 @@ class Source:
     camera_info_file: str
     image_size: str
     layout: str
+    recording: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

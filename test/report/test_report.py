@@ -145,7 +145,7 @@ def test_a_known_number_of_frames_needs_few_drawings(
     make_result: MakeResult, monkeypatch: pytest.MonkeyPatch, expected: int, count: int
 ) -> None:
     drawn: list[int] = []
-    monkeypatch.setattr(samples_module, "_jpeg", lambda picture: drawn.append(1) or b"")
+    monkeypatch.setattr(samples_module, "jpeg_of", lambda *picture: drawn.append(1) or b"")
     samples, result = Samples(expected), make_result(0)
     for index in range(count):
         samples.offer(index, result)
