@@ -124,6 +124,7 @@ def replay(
             image_size="{} x {}".format(*statistics.image_size) if statistics.layout else "",
             layout=statistics.layout,
             recording=tuple(os.path.abspath(path) for path in bags),
+            rate_hz=rate_hz,
         )
         sizes = {target.name: target.size for target in targets}
         summary = sink.report(

@@ -50,6 +50,7 @@ class Source:
     image_size : width x height of the first frame, empty without one
     layout : of the first frame, such as `bayer rggb 16 bit`
     recording : absolute paths of what was replayed
+    rate_hz : pictures a second, where that was given; else 0
     """
 
     bags: tuple[str, ...]
@@ -60,6 +61,7 @@ class Source:
     image_size: str
     layout: str
     recording: tuple[str, ...] = ()
+    rate_hz: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

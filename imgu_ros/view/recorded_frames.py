@@ -50,7 +50,7 @@ def frame_pictures(recording: Sequence[Path], results: ReplayResults) -> Generat
     """
     parameters = results.parameters
     development = DevelopmentParameters.of(parameters)
-    with open_bag(recording, limits=parameters.limits) as bag:
+    with open_bag(recording, limits=parameters.limits, rate_hz=results.rate_hz) as bag:
         yield from _pictures(bag, RecordedFramesParameters.of(parameters), development)
 
 

@@ -41,6 +41,7 @@ class ReplayResults:
     targets : names, that with the most poses first
     poses : number of poses of each, in the same order
     recording : what was replayed, absolute paths
+    rate_hz : of the replay's pictures, where it was given; else 0
     image_topic, camera_info_topic : the latter empty when there was none
     parameters : those of reading and developing frames as in the replay, the others default
     frames : how many
@@ -50,6 +51,7 @@ class ReplayResults:
     targets: tuple[str, ...]
     poses: tuple[int, ...]
     recording: tuple[Path, ...]
+    rate_hz: float
     image_topic: str
     camera_info_topic: str
     parameters: Parameters
@@ -114,6 +116,7 @@ def open_results(folder: Path) -> ReplayResults:
             targets=tuple(name for name, _ in counted),
             poses=tuple(count for _, count in counted),
             recording=tuple(Path(each) for each in source["recording"]),
+            rate_hz=float(source["rate_hz"]),
             image_topic=str(source["image_topic"]),
             camera_info_topic=str(source["camera_info_topic"]),
             parameters=parameters_from(

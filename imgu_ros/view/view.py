@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -52,10 +53,15 @@ def _pictures(
     given: Sequence[Path], results: ReplayResults, on_warning: Callable[[str], None]
 ) -> Generator[FramePicture]:
     recording = given or results.recording
-    missing = next((path for path in recording if not path.exists()), None)
+    missing = next((path for path in recording if not _is_there(path)), None)
     if missing is not None and given:
         raise FileError(f"{missing}: does not exist; need the recording that was replayed")
     if missing is not None:
         on_warning(f"{missing}: not there any more, so there are no pictures; --recording PATH says where it is")
     else:
         yield from frame_pictures(recording, results)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is a file or folder, or one that fits a pattern."""
+    return path.exists() or next(glob.iglob(str(path), recursive=True), None) is not None
