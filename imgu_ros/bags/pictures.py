@@ -77,10 +77,9 @@ class PictureStorage:
                 channels = 1 if file.pixels.ndim == 2 else file.pixels.shape[2]
                 message = frame_message(time_ns, file.pixels, encoding_for(file.pixels.dtype, channels))
             except (FileError, EncodingError) as error:
-                message = UnreadableFrame(
-                    header_message(make_message, Header(time_ns, FRAME_ID)),
-                    f"{path}: {str(error).removeprefix(f'{path}: ')}",
-                )
+                why = str(error).removeprefix(f"{path}: ")
+                header = header_message(make_message, Header(time_ns, FRAME_ID))
+                message = UnreadableFrame(header, f"{path.name}: {why}")
             yield RawMessage(FRAME_CHANNEL, time_ns, b"", message)
 
 

@@ -26,6 +26,7 @@ COMMANDS = {
     "replay": "imgu_ros.cli.replay",
     "view": "imgu_ros.cli.view",
     "play": "imgu_ros.cli.play",
+    "camera": "imgu_ros.cli.camera",
     "node": "imgu_ros.cli.node",
     "match": "imgu_ros.cli.match",
     "demosaic": "imgu_ros.cli.demosaic",

@@ -69,6 +69,17 @@ def short_forms(targets: Sequence[str], widths_m: Sequence[float], camera_info: 
     return values
 
 
+def picture_rate(text: str) -> float:
+    """Return the value of `--rate`: pictures a second."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}; need pictures a second, more than 0 and at most 1e6")
+    return value
+
+
 def parameters_of(
     arguments: argparse.Namespace,
     extra: Mapping[str, object] | None = None,

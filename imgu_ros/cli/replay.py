@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgu_ros.cli.options import add_parameter_options, parameters_of, short_forms
+from imgu_ros.cli.options import add_parameter_options, parameters_of, picture_rate, short_forms
 from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="calibration of the camera, as `imgu calibrate` writes it; short for -p camera.info_file:=FILE",
     )  # fmt: skip
     parser.add_argument(
-        "--rate", type=_rate, default=0.0, metavar="HZ",
+        "--rate", type=picture_rate, default=0.0, metavar="HZ",
         help="of pictures: so many a second; default: their names or Exif tell when they were taken",
     )  # fmt: skip
     parser.add_argument("--truth", type=Path, metavar="FILE", help="truth.csv of `imgu simulate`: report the errors")
@@ -76,16 +76,6 @@ def run(arguments: argparse.Namespace) -> int:
         )
     say(*accuracy_table(summary).split("\n"), "", arguments.out / "report.html")
     return 0
-
-
-def _rate(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}; need pictures a second, more than 0 and at most 1e6")
-    return value
 
 
 def accuracy_table(summary: Summary) -> str:
