@@ -50,7 +50,7 @@ WIDTH, HEIGHT = 1280, 720
 _TRACKED_BEFORE, _TRACKED = 16, 15
 #: The first frame after a loss is searched more thoroughly.
 _EMPTY_BEFORE, _EMPTY = 2, 9
-#: The camera moves as in the README's sequences: once through the whole motion in this many frames.
+#: The camera moves as in the sequences of docs/figures.md: once through the whole motion in this many frames.
 _LAP_FRAMES, _RATE_HZ = 120, 30.0
 _COMPREHENSIONS = {"<listcomp>", "<setcomp>", "<dictcomp>"}
 

@@ -2,8 +2,8 @@
 """Make the reference of the vision library: python docs/make_reference.py [--pictures].
 
 A page for each chapter of imgu_ros/vision, built from the docstrings: the chapter's own at its head, its picture, the
-catalogue's lines (docs/algorithms.csv), then every public function and class. `--pictures` also draws the pictures
-(docs/pictures/<chapter>.py).
+catalogue's lines (docs/algorithms.csv), then every public function and class; and the page of the commands
+(docs/make_commands.py). `--pictures` also draws the pictures (docs/pictures/<chapter>.py).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import importlib.util
 import inspect
 import pkgutil
 import re
+import sys
 import textwrap
 from collections.abc import Iterator
 from enum import Enum
@@ -21,6 +22,9 @@ from pathlib import Path
 from types import ModuleType
 
 DOCS = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOCS))
+import make_commands  # noqa: E402
+
 PACKAGE = "imgu_ros.vision"
 # REUSE-IgnoreStart
 LICENCE = "<!-- SPDX-License-Identifier: Apache-2.0 -->"
@@ -63,7 +67,8 @@ def pages() -> dict[str, str]:
         lines.append(f"- [{title}]({chapter}.md): {summary}")
     lines += ["", *(inspect.getdoc(importlib.import_module(PACKAGE)) or "").splitlines()]
     lines += ["", "Every algorithm, its function, test, parameter and source: [algorithms.csv](../algorithms.csv).", ""]
-    return {"README.md": "\n".join(lines), **texts}
+    commands = "\n".join([LICENCE, *make_commands.page()])
+    return {"README.md": "\n".join(lines), "commands.md": commands, **texts}
 
 
 def draw_picture(chapter: str, path: Path) -> None:

@@ -5,7 +5,7 @@
 #
 # makes or updates a virtual environment in FOLDER with this package, installed editable with the optional
 # dependencies EXTRAS ("" or "ros,test") at the versions pinned in CONSTRAINTS, on the first of the Python VERSIONs
-# (default: 3.12 3.11) that this machine has. Does nothing when FOLDER is up to date. Afterwards $PYTHON runs it.
+# (default: 3.12 3.11 3.13 3.14) that this machine has. Does nothing when FOLDER is up to date. Afterwards $PYTHON runs it.
 
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 
@@ -127,9 +127,9 @@ _find_python() {
     local version candidate broken=""
     if [[ -n ${IMGU_PYTHON:-} ]]; then
         _try_python "$IMGU_PYTHON" && return
-        fail "IMGU_PYTHON=$IMGU_PYTHON: does not run or has no venv module; need Python 3.11 or 3.12"
+        fail "IMGU_PYTHON=$IMGU_PYTHON: does not run or has no venv module; need Python 3.11 to 3.14"
     fi
-    [[ $# -gt 0 ]] || set -- 3.12 3.11
+    [[ $# -gt 0 ]] || set -- 3.12 3.11 3.13 3.14
     for version in "$@"; do
         # A shim of pyenv can be on PATH for a version that is not switched on: trying it is the only way to know.
         for candidate in "python$version" python3 "${PYENV_ROOT:-${HOME:-}/.pyenv}/versions/$version".*/bin/python; do
@@ -146,7 +146,7 @@ _find_python() {
 }
 
 _try_python() {
-    "$1" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' 2>/dev/null || return 1
+    "$1" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12), (3, 13), (3, 14)))' 2>/dev/null || return 1
     FOUND_PYTHON=$1
     FOUND_VERSION=$("$1" -c 'import platform; print(platform.python_version())')
 }

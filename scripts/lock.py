@@ -15,9 +15,12 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+#: The versions of Python that are locked for; constraints-jazzy.txt is for the first two alone, as its NumPy is.
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 BLOCK = re.compile(
     r"# (?P<needed_by>[\w, ]+)\n"
-    r"(?P<name>[a-z0-9-]+)==(?P<version>[a-z0-9.+!-]+)(?: ; python_version (?P<bound>< \"3\.12\"|>= \"3\.12\"))?"
+    r"(?P<name>[a-z0-9-]+)==(?P<version>[a-z0-9.+!-]+)"
+    r"(?: ; python_version >= \"(?P<first>3\.\d+)\" and python_version <= \"(?P<last>3\.\d+)\")?"
     r"(?P<hashes>(?: \\\n    --hash=sha256:[0-9a-f]{64})+)\n"
 )
 
@@ -32,14 +35,15 @@ class Locked:
     sha256: tuple[str, ...]
     #: `imgu_ros`, `build`, names of optional dependencies.
     needed_by: tuple[str, ...]
-    #: The versions of Python that it is for.
-    pythons: tuple[str, ...] = ("3.11", "3.12")
+    #: The versions of Python that it is for, one after the other.
+    pythons: tuple[str, ...] = PYTHONS
 
     def __str__(self) -> str:
         """Return the lines of the lock file."""
-        marker = {("3.11",): ' ; python_version < "3.12"', ("3.12",): ' ; python_version >= "3.12"'}
+        first, last = self.pythons[0], self.pythons[-1]
+        marker = "" if self.pythons == PYTHONS else f' ; python_version >= "{first}" and python_version <= "{last}"'
         hashes = "".join(f" \\\n    --hash=sha256:{digest}" for digest in self.sha256)
-        return f"# {', '.join(self.needed_by)}\n{self.name}=={self.version}{marker.get(self.pythons, '')}{hashes}\n"
+        return f"# {', '.join(self.needed_by)}\n{self.name}=={self.version}{marker}{hashes}\n"
 
 
 def read(path: Path) -> list[Locked]:
@@ -53,7 +57,12 @@ def read(path: Path) -> list[Locked]:
         if block is None:
             line = header.count("\n") + 3 + text.count("\n", 0, position)
             raise SystemExit(f"{path}: the package after line {line - 1}: need a name, a version and SHA-256 digests")
-        pythons = {None: ("3.11", "3.12"), '< "3.12"': ("3.11",), '>= "3.12"': ("3.12",)}[block["bound"]]
+        first, last = block["first"] or PYTHONS[0], block["last"] or PYTHONS[-1]
+        if first not in PYTHONS or last not in PYTHONS:
+            raise SystemExit(
+                f"{path}: {block['name']}: got Python {first} to {last}; need some of {', '.join(PYTHONS)}"
+            )
+        pythons = PYTHONS[PYTHONS.index(first) : PYTHONS.index(last) + 1]
         needed_by = tuple(block["needed_by"].split(", "))
         digests = tuple(re.findall("[0-9a-f]{64}", block["hashes"]))
         packages.append(Locked(block["name"], block["version"], digests, needed_by, pythons))

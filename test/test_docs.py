@@ -12,9 +12,7 @@ from imgu_ros.cli.main import main
 from imgu_ros.messages.results import OUTPUTS
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted(
-    str(path.relative_to(ROOT)) for folder in ("", "docs", "docs/reference") for path in (ROOT / folder).glob("*.md")
-)
+PAGES = sorted(str(path.relative_to(ROOT)) for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 def test_parameter_reference_is_current(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -238,8 +238,8 @@ def test_a_class_name_exists_once() -> None:
 
 #: Places of one machine, and hosts of package indexes: the repository is for every machine.
 FOREIGN = re.compile(r"(?<![\w.~$}>-])/(home|root|tmp|work|Users)/\w|pypi\.org|pythonhosted", re.IGNORECASE)
-BINARY = {".png", ".jpg", ".pyc", ".mcap", ".db3", ".bag", ".npz", ".tiff", ".pgm"}
-FOLDERS = (".ci", "benchmarks", "config", "docs", "fuzz", "imgu_ros", "launch", "resource", "scripts", "test")
+BINARY = {".png", ".jpg", ".webp", ".pyc", ".mcap", ".db3", ".bag", ".npz", ".tiff", ".pgm"}
+FOLDERS = (".ci", "benchmarks", "config", "docker", "docs", "fuzz", "imgu_ros", "launch", "resource", "scripts", "test")
 
 
 def test_repository_names_no_machine() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 # REUSE-IgnoreStart
-LINE = re.compile(rb"(?:# |<!-- |\.\. |)SPDX-License-Identifier: Apache-2\.0(?: -->)?")
+LINE = re.compile(rb"(?:# |<!-- |\.\. |// |/\* |)SPDX-License-Identifier: Apache-2\.0(?: -->| \*/)?")
 # REUSE-IgnoreEnd
 #: The licence itself.
 TEXTS = {"LICENSE", "LICENSES/Apache-2.0.txt"}
@@ -81,7 +81,7 @@ def test_what_could_have_a_line_is_not_excused() -> None:
     excused = [
         name for name in files() if any(matches(pattern, name) for pattern in annotated()) and not kept.match(name)
     ]
-    assert {Path(name).suffix for name in excused} <= {"", ".csv", ".jpg", ".json", ".png", ".typed"}
+    assert {Path(name).suffix for name in excused} <= {"", ".csv", ".jpg", ".json", ".png", ".typed", ".webp"}
 
 
 def test_the_licence_is_whole() -> None:

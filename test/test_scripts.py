@@ -52,7 +52,7 @@ class Sandbox:
         for name in ("setup.py", "setup.cfg", "package.xml", "constraints.txt"):
             (self.root / name).write_text(name)
         # The real interpreters of this machine stay out of sight.
-        for name in ("python3.12", "python3.11", "python3"):
+        for name in ("python3.14", "python3.13", "python3.12", "python3.11", "python3"):
             self.program(name, SHIM)
 
     def program(self, name: str, text: str) -> None:
@@ -179,8 +179,8 @@ def test_interpreter_of_pyenv_is_found_behind_its_shim(sandbox: Sandbox) -> None
 @pytest.mark.parametrize(
     ("name", "version", "has_venv", "need"),
     [
-        ("python3", "3.9", True, "no Python 3.12 or 3.11 found on PATH"),
-        ("python3", "3.14", True, "no Python 3.12 or 3.11 found on PATH"),
+        ("python3", "3.9", True, "no Python 3.12 or 3.11 or 3.13 or 3.14 found on PATH"),
+        ("python3", "3.15", True, "no Python 3.12 or 3.11 or 3.13 or 3.14 found on PATH"),
         ("python3.11", "3.11", False, "sudo apt install python3.11-venv"),
         ("python", "3.12", True, "IMGU_PYTHON"),
     ],
@@ -274,6 +274,7 @@ SCRIPTS = (
     "scripts/colcon",
     "scripts/audit",
     "scripts/sbom",
+    "scripts/docs",
     "scripts/environment.sh",
     ".ci/run",
 )

@@ -12,14 +12,13 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from imgu_ros.bags.decoding import message_from_cdr
-from imgu_ros.bags.messages import typestore
 from imgu_ros.config.parameters import DEFAULT_LIMITS
 from imgu_ros.errors import BagError
 from imgu_ros.messages.header import decode_header
 from imgu_ros.messages.pairing import Pair, Pairing
 from imgu_ros.ros.frame_queue import FrameQueue
 from imgu_ros.ros.frame_worker import FrameMessages
+from imgu_ros.ros.message_bytes import message_from_bytes, prepare
 from imgu_ros.ros.messages import message_class
 from imgu_ros.ros.meters import RateMeter
 from imgu_ros.ros.qos import QosCounters, camera_info_qos, overridable, override_names
@@ -151,7 +150,7 @@ class FrameInput:
     def _subscribe(
         self, topic: str, type_name: str, receive: Callable[[bytes], None], qos: QoSProfile, counters: QosCounters
     ) -> None:
-        typestore().get_msgdef(type_name)  # made at the first use, for which no frame should wait
+        prepare(type_name)  # for which no frame should wait
         self._subscriptions[topic] = self._node.create_subscription(
             message_class(type_name),
             topic,
@@ -192,12 +191,12 @@ class FrameInput:
     ) -> tuple[Any | None, str]:
         """Return a message, or None and why its bytes are none of its type.
 
-        rclpy's own conversion copies an image's pixels twice more, and drops what it cannot read without a message.
+        A subscription that converts by itself drops what it cannot read without a message.
         """
         try:
             if len(data) > most_bytes:
                 raise BagError(f"{len(data) / 1e6:.1f} MB; need at most {most_bytes / 1e6:g}{limit}")
-            return message_from_cdr(type_name, data), ""
+            return message_from_bytes(type_name, data), ""
         except BagError as error:
             said = f"{topic}: {error}"
             self._node.get_logger().warning(said, throttle_duration_sec=_REPEAT_S)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors against exact truth stay within 1.3 times of what README.md claims.
+"""Errors against exact truth stay within 1.3 times of what docs/figures.md claims.
 
-The README's sequences in a third of their frames: the same motion, target, camera, light and sensor, with the camera
-turning by 9 degrees from frame to frame instead of 3. The README's position errors have one digit and are not checked.
+The page's sequences in a third of their frames: the same motion, target, camera, light and sensor, with the camera
+turning by 9 degrees from frame to frame instead of 3. The page's position errors have one digit and are not checked.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FACTOR = 1.3
 
 @dataclass(frozen=True)
 class Claim:
-    """Corner errors, px, and rotation errors, degrees, as the README prints them for one size of frames."""
+    """Corner errors, px, and rotation errors, degrees, as the page prints them for one size of frames."""
 
     size: tuple[int, int]
     tracking_p50: str
@@ -42,10 +42,10 @@ CLAIMS = (
 )
 
 
-def test_the_readme_claims_these_errors(repository: Path) -> None:
+def test_the_page_claims_these_errors(repository: Path) -> None:
     rows = {
         cells[0]: cells[1:]
-        for line in (repository / "README.md").read_text(encoding="utf-8").splitlines()
+        for line in (repository / "docs" / "figures.md").read_text(encoding="utf-8").splitlines()
         if line.startswith("|")
         for cells in [[cell.strip() for cell in line.strip("|").split("|")]]
     }
