@@ -32,6 +32,9 @@ PYTHONS = {"constraints.txt": ("3.11", "3.12", "3.13", "3.14"), "constraints-jaz
 
 #: Imported module -> (name for pip, rosdep key; empty: comes with another key's).
 DISTRIBUTIONS = {
+    "PIL": ("pillow", "python3-pil"),
+    # No key: a video says what to install.
+    "av": ("av", ""),
     "backports": ("backports-zstd", ""),
     "cv2": ("opencv-python-headless", "python3-opencv"),
     "jinja2": ("jinja2", "python3-jinja2"),
