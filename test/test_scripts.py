@@ -275,6 +275,7 @@ SCRIPTS = (
     "scripts/audit",
     "scripts/sbom",
     "scripts/docs",
+    "scripts/release",
     "scripts/environment.sh",
     ".ci/run",
 )
