@@ -267,6 +267,44 @@ def test_a_lock_without_digests_is_refused(tmp_path: Path, text: str) -> None:
     assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (1, "", 1), done.stderr
 
 
+#: What .ci/run takes from scripts/environment.sh; Python 3.13 and 3.14 are missing, and the suite passes everything.
+STAGE = """
+OFFLINE=(offline) LIVE=(live)
+_find_python() { [[ $1 == 3.1[12] ]] || exit 1; FOUND_PYTHON=python$1; }
+make_environment() { PYTHON=true; }
+available_extras() { echo "$1"; }
+install_locked() { return 0; }
+"""
+
+
+@pytest.mark.parametrize("broken", ["", "docs"])
+def test_ci_names_slow_and_failed_steps(tmp_path: Path, broken: str) -> None:
+    (tmp_path / ".ci").mkdir()
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(REPOSITORY / ".ci" / "run", tmp_path / ".ci")
+    (tmp_path / "scripts" / "environment.sh").write_text(STAGE)
+    programs = {f"scripts/{name}": "exit 0" for name in ("test", "audit", "sbom", "docs", "colcon")}
+    programs |= {"scripts/colcon": "sleep 2", "bin/chromium": "exit 0"}
+    # An interpreter whose environments hold the command, and no rclpy.
+    make = 'mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; printf "#!/bin/sh\\n" >"$3/bin/imgu"; chmod +x "$3/bin/imgu"'
+    programs["bin/python3.11"] = f'case "$*" in *"import rclpy"*) exit 1 ;; *"-m venv"*) {make} ;; esac'
+    if broken:
+        programs[f"scripts/{broken}"] = "exit 3"
+    for name, text in programs.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(f"#!/bin/bash\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    variables = {"PATH": f"{tmp_path / 'bin'}:{os.defpath}", "HOME": str(tmp_path)}
+    done = subprocess.run(
+        ["bash", str(tmp_path / ".ci" / "run")], env=variables, capture_output=True, text=True, timeout=60
+    )
+    slowest = done.stdout.partition("=== slowest steps\n")[2].splitlines()
+    assert slowest[0].endswith(" s  colcon")
+    assert "=== without ROS, Python 3.11" in done.stdout
+    assert "no Python 3.13 on this machine" in done.stdout and "Python 3.12" not in done.stdout
+    assert (done.returncode, done.stderr) == ((1, ".ci/run: FAILED: documentation\n") if broken else (0, ""))
+
+
 SCRIPTS = (
     "scripts/demo",
     "scripts/test",
