@@ -21,6 +21,7 @@ from imgu_ros.image.frame_image import Development, FrameImage, develop_frame
 from imgu_ros.pose.map_pose import told_apart
 from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
+from imgu_ros.reference.family import FamilyReference
 from imgu_ros.reference.features import extractor_options
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
@@ -88,6 +89,9 @@ class Localizer:
     def reset(self) -> None:
         """Forget everything that earlier frames told."""
         self._cameras = CameraMemories()
+        for each in self._families:
+            each.forget()
+        self._know_parts()
 
     def continue_from(self, before: Localizer) -> None:
         """Take over what another localizer remembers; tracks of references with the same name and template continue.
@@ -95,6 +99,9 @@ class Localizer:
         Tracks are in template px, whatever the references' widths and all parameters are. The calibration check
         continues until the camera changes.
         """
+        for each in self._families:
+            each.take_over(before._references.get(each.name))
+        self._know_parts()
         self._cameras = before._cameras.copy()
         known = before._parts
         same = {name for name, each in self._parts.items() if name in known and each.has_template_of(known[name])}
@@ -120,10 +127,19 @@ class Localizer:
                 image.curve = memory.transfer.curve
             image.row_time_ns = 1000 * self._parameters.camera.row_time_us
             results = self._follow(context, memory, time_ns)
-            missing = [each for each in self.references if not any(part.name in results for part in each.parts)]
-            is_due = self._search_is_due(memory, missing)
+            missing = [
+                part
+                for each in self.references
+                if not any(part.name in results for part in each.parts)
+                for part in each.parts
+            ]
+            if self._families:
+                missing = [part for each in self.references for part in each.sought(results)]
+            is_due = self._search_is_due(memory, missing, none_in_view=not results)
             if is_due:
                 results |= self._detect(context, memory, missing, results.values())
+                if self._families:
+                    results = self._with_members(results)
             results |= self._beside(context, results)
             results = self._rivals.settled(context, results, is_due)
             features = context.features if with_keypoints else context.computed_features
@@ -133,7 +149,11 @@ class Localizer:
             results = {name: results.get(name) or _lost(each, is_due) for name, each in self._parts.items()}
             self._remember(memory, results, time_ns)
             memory.frames_without_search = 0 if is_due or not missing else memory.frames_without_search + 1
-            results = {each.name: each.combined(results, frame) for each in self.references}
+            results = (
+                self._combined(results, frame)
+                if self._families
+                else {each.name: each.combined(results, frame) for each in self.references}
+            )
             results = memory.calibration.examined(frame.camera, results)
         except ImguError as error:
             return context.timed(rejected(frame, self.references, str(error)))
@@ -165,9 +185,16 @@ class Localizer:
         if len(self._references) < len(references):
             names = ", ".join(reference.name for reference in references)
             raise ParameterError(f"references: {names}; need unique names")
+        self._families = [each for each in references if isinstance(each, FamilyReference)]
+        sought = tuple(part for reference in references for part in reference.sought(()))
+        self._detectors = make_detectors(sought, self._parameters, self._cache)
+        self._rivals = Rivals((), DetectionParameters.of(self._parameters))
+        self._know_parts()
+
+    def _know_parts(self) -> None:
+        references = self.references
         self._parts = {part.name: part for reference in references for part in reference.parts}
-        parts = tuple(self._parts.values())
-        self._planes = {part.name: part.plane for part in parts}
+        self._planes = {name: part.plane for name, part in self._parts.items()}
         poses = rigid_transforms(self._parameters.targets.poses, "targets.poses")
         # A reference has the place of its number in the lists.
         self._places = {
@@ -176,8 +203,7 @@ class Localizer:
             for part in each.parts
             if each.number < len(poses)
         }
-        self._detectors = make_detectors(parts, self._parameters, self._cache)
-        self._rivals = Rivals(parts, DetectionParameters.of(self._parameters))
+        self._rivals.know(self._parts)
         self._cameras.keep(self._parts.keys())
 
     def _follow(self, context: FrameContext, memory: CameraMemory, time_ns: int) -> dict[str, ReferenceResult]:
@@ -215,13 +241,13 @@ class Localizer:
         missing: Sequence[Reference],
         tracked: Iterable[ReferenceResult],
     ) -> dict[str, ReferenceResult]:
-        """Return what became of the parts of missing references that were looked for, by name."""
+        """Return what became of the parts of references that are missing and were looked for, by name."""
         memory.searches += 1
         thorough = memory.searches % _THOROUGH_EVERY == 0
         covered = [result.outline for result in tracked if result.outline is not None]
         found: dict[str, ReferenceResult] = {}
         for kind, detector in self._detectors.items():
-            wanted = [part for reference in missing for part in reference.parts if part.kind == kind]
+            wanted = [part for part in missing if part.kind == kind]
             if wanted:
                 found |= by_name(detector.detect(context, wanted, covered, thorough))
         for samples in context.curve_samples:
@@ -238,12 +264,22 @@ class Localizer:
                     found |= by_name(parts_beside(context, reference, results, self._parameters))
         return found
 
-    def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference]) -> bool:
+    def _with_members(self, results: Mapping[str, ReferenceResult]) -> dict[str, ReferenceResult]:
+        """Make references of members of families that were seen for the first time; return the results of all parts."""
+        changed = [family for family in self._families if family.take(results)]
+        if changed:
+            self._know_parts()
+        return {name: result for name, result in results.items() if name in self._parts}
+
+    def _combined(self, found: Mapping[str, ReferenceResult], frame: Frame) -> dict[str, ReferenceResult]:
+        """Return the results of all references, by name, in their order: those of families are several."""
+        return by_name(one for each in self.references for one in each.results(found, frame))
+
+    def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference], none_in_view: bool) -> bool:
         """Return whether to search: at once when a track was just lost or none is left, else now and then."""
         if not missing:
             return False
-        just_lost = any(part.name in memory.tracks for reference in missing for part in reference.parts)
-        none_in_view = len(missing) == len(self._references)
+        just_lost = any(part.name in memory.tracks for part in missing)
         waited = memory.frames_without_search + 1
         return just_lost or none_in_view or waited >= self._parameters.tracking.search_every
 
@@ -256,7 +292,8 @@ class Localizer:
 def rejected(frame: Frame, references: Iterable[Reference], reason: str) -> Result:
     """Return the result of a frame that cannot be used, for `reason`."""
     words = unusable_frame(reason)
-    results = (ReferenceResult(each.name, each.number, Status.REJECTED, reason=words) for each in references)
+    shown = (one for each in references for one in each.shown)
+    results = (ReferenceResult(each.name, each.number, Status.REJECTED, reason=words) for each in shown)
     return Result(frame, by_name(results), reason=reason)
 
 

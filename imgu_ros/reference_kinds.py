@@ -19,6 +19,7 @@ from imgu_ros.detect.detector import Detector, ReferenceDetector
 from imgu_ros.detect.markers import MarkerDetector
 from imgu_ros.errors import ParameterError
 from imgu_ros.reference.bundle import BundleImage, bundle_reference
+from imgu_ros.reference.family import FamilyImage, family_reference
 from imgu_ros.reference.marker import BoardImage, MarkerImage, marker_reference
 from imgu_ros.reference.planar import PlanarReference, planar_reference
 from imgu_ros.reference.reference import Reference
@@ -45,6 +46,7 @@ KINDS: dict[str, ReferenceKind] = {
     PlanarReference.kind: ReferenceKind(ReferenceParameters, planar_reference, ReferenceDetector),
     MarkerImage.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
     BoardImage.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
+    FamilyImage.kind: ReferenceKind(ReferenceParameters, family_reference, MarkerDetector),
     BundleImage.kind: ReferenceKind(ReferenceParameters, bundle_reference, MarkerDetector),
 }
 

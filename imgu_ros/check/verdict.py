@@ -17,6 +17,7 @@ from imgu_ros.config.parameters import Parameters, RawParameters
 from imgu_ros.detect.rivals import Rivals
 from imgu_ros.errors import ImguError
 from imgu_ros.reference.bundle import BundleImage
+from imgu_ros.reference.family import FamilyImage
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references
@@ -132,7 +133,8 @@ def check_targets(
 
     Parameters
     ----------
-    images : as `load_target_images` returns them; of a bundle of markers each is checked by itself
+    images : as `load_target_images` returns them; of a bundle of markers each is checked by itself, of a
+        family its first
     entries : of `targets.images`
     parameters : of the pipeline; `raw` and `camera` describe the user's frames, not those that are simulated
     camera : that shall see them
@@ -144,7 +146,7 @@ def check_targets(
     targets = [
         (part, entry, notes[index] if index < len(notes) else ())
         for index, (image, entry) in enumerate(zip(images, entries, strict=True))
-        for part in (image.parts if isinstance(image, BundleImage) else (image,))
+        for part in _parts_of(image)
     ]
     known = [replace(image, width_m=image.width_m or 1.0) for image, _, _ in targets]
     references = make_references(known, parameters, BuildCache())
@@ -153,6 +155,13 @@ def check_targets(
         _checked(image, entry, reference, parameters, camera, said, tuple(rivals.of_one_design(reference.name)))
         for (image, entry, said), reference in zip(targets, references, strict=True)
     )
+
+
+def _parts_of(image: TargetImage) -> Sequence[TargetImage]:
+    """Return what is checked by itself: the markers of a bundle; of a family one stands for all."""
+    if isinstance(image, BundleImage):
+        return image.parts
+    return (image.first,) if isinstance(image, FamilyImage) else (image,)
 
 
 def _checked(

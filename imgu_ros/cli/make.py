@@ -248,9 +248,13 @@ def _target(arguments: argparse.Namespace, parameters: Parameters) -> TargetImag
     """Return the target as the pipeline knows it: a picture is upright, and on white where it is transparent."""
     from imgu_ros.config.parameters import TargetsParameters
     from imgu_ros.files.target_images import load_target_images
+    from imgu_ros.reference.family import FamilyImage
 
     targets = TargetsParameters(images=(arguments.target,), widths_m=(arguments.width_m or 0.0,))
-    return load_target_images(targets, warn, limits=parameters.limits)[0]
+    (image,) = load_target_images(targets, warn, limits=parameters.limits)
+    if isinstance(image, FamilyImage):
+        raise ParameterError(f"{arguments.target}: all ids of a family; need one, {image.family}:7")
+    return image
 
 
 def _random(arguments: argparse.Namespace) -> TargetImage:

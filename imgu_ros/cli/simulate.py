@@ -227,12 +227,17 @@ def _targets(arguments: argparse.Namespace) -> tuple[TargetImage, ...]:
     from imgu_ros.config.parameters import TargetsParameters
     from imgu_ros.files.board_file import BOARD_SUFFIXES
     from imgu_ros.files.target_images import load_target_images
+    from imgu_ros.reference.family import FamilyImage
 
     paths = tuple(str(path) for path in arguments.template)
     for path in paths:
         if Path(path).suffix.lower() in BOARD_SUFFIXES:
-            raise ParameterError(f"--template: {path}: a board; need pictures")
-    return load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)), warn)
+            raise ParameterError(f"--template: {path}: a board; need pictures or markers")
+    images = load_target_images(TargetsParameters(images=paths, widths_m=(arguments.width_m,) * len(paths)), warn)
+    for image in images:
+        if isinstance(image, FamilyImage):
+            raise ParameterError(f"--template: {image.family}:*: all ids of a family; need one, {image.family}:7")
+    return images
 
 
 def _size(text: str) -> tuple[int, int]:

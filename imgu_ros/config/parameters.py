@@ -97,8 +97,8 @@ class TargetsParameters:
         (),
         "The targets, such as `[poster.png, tag36h11:7, board.yaml]`: image files (`~` and `$VARIABLES` are expanded; "
         "relative to the working directory), fiducial markers by family and id (`tag16h5`, `tag25h9`, `tag36h10`, "
-        "`tag36h11`, `aruco_4x4_50` ... `aruco_7x7_1000`, `aruco_original`, `aruco_mip_36h12`), and board files, which "
-        "say where several markers are on one thing.",
+        "`tag36h11`, `aruco_4x4_50` ... `aruco_7x7_1000`, `aruco_original`, `aruco_mip_36h12`; `tag36h11:*`: each id "
+        "that is seen), and board files, which say where several markers are on one thing.",
         basic=1,
     )
     widths_m: tuple[float, ...] = parameter(

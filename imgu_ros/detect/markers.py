@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,9 +20,11 @@ from imgu_ros.image.transfer_fit import SRGB_CURVE, TransferCurve, TransferFit, 
 from imgu_ros.pose.planar_pose import distorting_camera, require_determined, require_plausible
 from imgu_ros.reasons import NOT_IN_VIEW, seen_twice, why_not_found
 from imgu_ros.reference.code_reading import read_code
+from imgu_ros.reference.family import FamilyReference
 from imgu_ros.reference.marker import MarkerReference
 from imgu_ros.reference.marker_code import MarkerCode
 from imgu_ros.reference.marker_layout import spread_out
+from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.verification import require_confirmed
 from imgu_ros.result import ReferenceResult, Stage, Status
 from imgu_ros.track.patch_alignment import align_patches
@@ -90,7 +92,7 @@ class MarkerDetector:
     """
 
     def __init__(
-        self, references: Sequence[MarkerReference], parameters: ReferenceParameters, cache: BuildCache | None = None
+        self, references: Sequence[Reference], parameters: ReferenceParameters, cache: BuildCache | None = None
     ) -> None:
         self._parameters = parameters
         families = dict.fromkeys(code.family for reference in references for code in reference.codes)
@@ -100,39 +102,58 @@ class MarkerDetector:
         """See `Detector.prepare`: nothing takes time."""
 
     def detect(
-        self, context: FrameContext, missing: Sequence[MarkerReference], covered: Sequence[Points], thorough: bool
+        self, context: FrameContext, missing: Sequence[Reference], covered: Sequence[Points], thorough: bool
     ) -> Iterator[ReferenceResult]:
-        """See `Detector.detect`."""
-        left = {reference.name: reference for reference in missing}
+        """See `Detector.detect`; of a family those of its ids that are found and were no references before."""
+        left = {reference.name: reference for reference in missing if isinstance(reference, MarkerReference)}
+        families = {each.image.family: each for each in missing if isinstance(each, FamilyReference)}
         results: dict[str, ReferenceResult] = {}
         with context.clock.measures(Stage.MATCH):
             grey = _contrasting(context.image.grey)
         for zooms in _passes(context.image.shape, everything=thorough or not covered):
             with context.clock.measures(Stage.MATCH):
-                candidates = self._candidates(grey, zooms, list(left.values()))
-            for name, found in candidates.items():
-                results[name] = self._located(context, left[name], found)
+                candidates = self._candidates(grey, zooms, left, families)
+            for marker, places in candidates:
+                name = marker.name
+                if name in results and results[name].status.found:
+                    continue  # an id of a family, found in a pass before
+                results[name] = self._located(context, marker, places)
                 if results[name].status.found:
-                    del left[name]
-            if not left:
+                    left.pop(name, None)
+            if not left and not families:
                 break
         for reference in missing:
-            yield results.get(reference.name) or _lost(reference, NOT_IN_VIEW)
+            if isinstance(reference, MarkerReference):
+                result = results.pop(reference.name) if reference.name in results else None
+                yield result or _lost(reference, NOT_IN_VIEW)
+        yield from (result for result in results.values() if result.status.found)
 
     def _candidates(
-        self, grey: Image, zooms: Sequence[int], wanted: Sequence[MarkerReference]
-    ) -> dict[str, list[_CodedPlace]]:
-        """Return where the wanted references may be, by their codes, by name."""
-        by_code = {(code.family, code.number): (each, code) for each in wanted for code in each.codes}
-        seen: dict[str, list[_SeenCode]] = {}
+        self,
+        grey: Image,
+        zooms: Sequence[int],
+        wanted: Mapping[str, MarkerReference],
+        families: Mapping[str, FamilyReference],
+    ) -> list[tuple[MarkerReference, list[_CodedPlace]]]:
+        """Return where the wanted references, and ids of families that are none, may be by their codes."""
+        by_code = {(code.family, code.number): (each, code) for each in wanted.values() for code in each.codes}
+        seen: dict[str, tuple[MarkerReference, list[_SeenCode]]] = {}
         for family, finder in self._finders.items():
             numbers = {number for own, number in by_code if own == family}
-            if numbers:
-                every = [each for zoom in zooms for each in finder.find(grey, zoom, numbers)]
-                for found in distinct_markers(every):
-                    reference, code = by_code[family, found.number]
-                    seen.setdefault(reference.name, []).append(_SeenCode(code, found))
-        return {name: _gathered(each) for name, each in seen.items()}
+            if not numbers and family not in families:
+                continue
+            only = None if family in families else numbers
+            every = [each for zoom in zooms for each in finder.find(grey, zoom, only)]
+            for found in distinct_markers(every):
+                if found.number not in numbers:
+                    unseen = families[family].unseen(found.number)
+                    if unseen is None:
+                        continue
+                    numbers.add(found.number)
+                    by_code[family, found.number] = unseen, unseen.codes[0]
+                reference, code = by_code[family, found.number]
+                seen.setdefault(reference.name, (reference, []))[1].append(_SeenCode(code, found))
+        return [(reference, _gathered(each)) for reference, each in seen.values()]
 
     def _located(
         self, context: FrameContext, reference: MarkerReference, candidates: Sequence[_CodedPlace]

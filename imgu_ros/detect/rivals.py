@@ -56,11 +56,21 @@ class Rivals:
     """
 
     def __init__(self, references: Iterable[Reference], parameters: DetectionParameters) -> None:
-        self._references = {reference.name: reference for reference in references}
         self._parameters = parameters
         self._designs: dict[str, Image] = {}
         # By the names of two: H_first_second, template px.
         self._known: dict[str, dict[str, Matrix3]] = {}
+        self.know({reference.name: reference for reference in references})
+
+    def know(self, references: Mapping[str, Reference]) -> None:
+        """Know other references, by name, of which those of a name that was known are the same."""
+        self._references = dict(references)
+        known = self._references.keys()
+        self._known = {
+            name: {other: H for other, H in rivals.items() if other in known}
+            for name, rivals in self._known.items()
+            if name in known
+        }
 
     def of_one_design(self, name: str) -> tuple[str, ...]:
         """Return the references that share a part of their design with one, at the same place."""

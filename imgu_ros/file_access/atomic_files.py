@@ -71,6 +71,7 @@ class LineFile:
     ----------
     path : the file
     head : its first lines
+    continues : go on with the file that is there
 
     Raises
     ------
@@ -78,8 +79,12 @@ class LineFile:
         If the file cannot be written, here and in every call: then its last line is the last that was written whole.
     """
 
-    def __init__(self, path: Path, head: str = "") -> None:
+    def __init__(self, path: Path, head: str = "", continues: bool = False) -> None:
         self._path = path
+        if continues:
+            with file_errors(path):
+                self._descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0))
+            return
         with file_errors(path):
             self._descriptor, part = _new_part(path)
         try:

@@ -20,6 +20,8 @@ AMBIGUOUS_FILE = "ambiguous.csv"
 AMBIGUOUS_COLUMNS = ("stamp_ns", "frame_id", "target", "solution", "rms_px", *T_COLUMNS, *Q_COLUMNS, *C_COLUMNS)
 
 _SECOND_NS = 1_000_000_000
+#: Trajectories of markers of families that are open at once: a process may have some hundreds of files open.
+_MOST_OPEN = 100
 
 
 class RisingStamps:
@@ -41,6 +43,8 @@ class RisingStamps:
 class PoseFiles:
     """Writes a trajectory for each target, and both solutions where two fit; a context manager.
 
+    Those of other targets, ids of a family, begin with their first pose.
+
     Stamps of a trajectory rise, as every reader of its format expects: see `RisingStamps`.
 
     Parameters
@@ -53,6 +57,10 @@ class PoseFiles:
         self._rising = RisingStamps()
         with ExitStack() as stack:
             self._trajectories = {name: stack.enter_context(LineFile(out / trajectory_file(name))) for name in targets}
+            self._out, self._begun = out, set[str]()
+            # The one used last is the last.
+            self._others: dict[str, LineFile] = {}
+            stack.callback(self._close_others)
             self._ambiguous = csv_writer(
                 stack.enter_context(LineFile(out / AMBIGUOUS_FILE, csv_line(AMBIGUOUS_COLUMNS)))
             )
@@ -74,13 +82,30 @@ class PoseFiles:
                 if not self._rising.takes(target.name, frame.stamp_ns):
                     continue
                 numbers = " ".join(repr(float(value)) for value in target.pose.inverse().transform.numbers())
-                self._trajectories[target.name].write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
+                self._trajectory(target.name).write(f"{seconds_text(frame.stamp_ns)} {numbers}\n")
             elif target.pose_status is PoseStatus.AMBIGUOUS:
                 names = (as_cell(frame.frame_id), as_cell(target.name))
                 for number, pose in enumerate(target.solutions, 1):
                     values = np.concatenate(([pose.rms_px], pose.transform.numbers(), pose.covariance.ravel()))
                     texts = [repr(float(value)) for value in values]
                     self._ambiguous.writerow([frame.stamp_ns, *names, number, *texts])
+
+    def _trajectory(self, target: str) -> LineFile:
+        if target in self._trajectories:
+            return self._trajectories[target]
+        file = self._others.pop(target, None)
+        if file is None:
+            if len(self._others) >= _MOST_OPEN:
+                self._others.pop(next(iter(self._others))).close()
+            file = LineFile(self._out / trajectory_file(target), continues=target in self._begun)
+            self._begun.add(target)
+        self._others[target] = file
+        return file
+
+    def _close_others(self) -> None:
+        with ExitStack() as stack:
+            for file in self._others.values():
+                stack.callback(file.close)
 
 
 def trajectory_file(target: str) -> str:

@@ -19,12 +19,13 @@ from imgu_ros.errors import FileError, ParameterError, ShapeError
 from imgu_ros.files.board_file import BOARD_SUFFIXES, read_board
 from imgu_ros.image_files.images import read_image_file
 from imgu_ros.reference.bundle import BundleImage, bundle_image
+from imgu_ros.reference.family import FamilyImage, family_image
 from imgu_ros.reference.marker import MarkerImage, board_image, marker_image
 from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
-from imgu_ros.vision.markers import marker_distance, require_marker_family
+from imgu_ros.vision.markers import marker_count, marker_distance, require_marker_family
 from imgu_ros.vision.markers.dictionaries import MARKER_FAMILIES
 
 _MIN_SIDE_PX = 16
@@ -48,7 +49,7 @@ def load_target_images(
     limits: LimitsParameters = DEFAULT_LIMITS,
 ) -> tuple[TargetImage, ...]:
     """Return the targets: pictures, upright, as their orientation tags say, and on white where they are transparent;
-    markers, of entries like `tag36h11:7`; and boards, of files like `board.yaml`.
+    markers, of entries like `tag36h11:7`; all ids of a family, `tag36h11:*`; and boards, of files like `board.yaml`.
 
     Parameters
     ----------
@@ -72,12 +73,50 @@ def load_target_images(
     names = [_checked_name(name) for name in targets.names] or [_default_name(entry) for entry in entries]
     _refuse_collisions(names, entries)
     widths = targets.widths_m or (0.0,) * len(entries)
-    images = tuple(
-        _image_of(entry, name, float(width), on_warning, limits)
-        for name, entry, width in zip(names, entries, widths, strict=True)
-    )
-    _refuse_shared_markers(images, entries)
-    return images
+    images: list[TargetImage] = []
+    for name, entry, width in zip(names, entries, widths, strict=True):
+        if not isinstance(entry, _Family):
+            images.append(_image_of(entry, name, float(width), on_warning, limits))
+    single = [entry for entry in entries if not isinstance(entry, _Family)]
+    _refuse_shared_markers(images, single)
+    if len(single) < len(entries):
+        _refuse_places(targets, entries)
+        taken = [marker for image in images for marker in _markers_of(image)]
+        number = len(entries)
+        for index, entry in enumerate(entries):
+            if isinstance(entry, _Family):
+                own = frozenset(marker.number for marker in taken if marker.family == entry.family)
+                images.insert(index, family_image(names[index], entry.family, float(widths[index]), own, number))
+                number += marker_count(entry.family)
+        _refuse_names_of_ids(images)
+    return tuple(images)
+
+
+def _refuse_places(targets: TargetsParameters, entries: Sequence[_Entry]) -> None:
+    """Raise where markers of any id have one place in the map, or a family is there twice."""
+    families = [entry for entry in entries if isinstance(entry, _Family)]
+    if targets.poses:
+        raise ParameterError(
+            f"targets.poses: with {families[0]} in targets.images, of which each marker has a place of its own; need "
+            f"an entry for each, {families[0].family}:0, {families[0].family}:1, ..."
+        )
+    for family in families:
+        if families.count(family) > 1:
+            raise ParameterError(f"targets.images: {family} twice; need it once")
+
+
+def _refuse_names_of_ids(images: Sequence[TargetImage]) -> None:
+    """Raise where the name of a target is the one that an id of a family would have."""
+    names = {image.name for image in images}
+    for image in images:
+        if isinstance(image, FamilyImage):
+            ids = (marker for marker in range(marker_count(image.family)) if marker not in image.taken)
+            for marker in ids:
+                if image.member_name(marker) in names:
+                    raise ParameterError(
+                        f"targets.names: {image.member_name(marker)!r} for a target and for {image.family}:{marker}; "
+                        "need different names"
+                    )
 
 
 def _image_of(
@@ -123,6 +162,14 @@ def _words(image: TargetImage, entry: _Marker | Path) -> str:
 
 
 @dataclass(frozen=True)
+class _Family:
+    family: str
+
+    def __str__(self) -> str:
+        return f"{self.family}:*"
+
+
+@dataclass(frozen=True)
 class _Marker:
     family: str
     number: int
@@ -131,8 +178,12 @@ class _Marker:
         return f"{self.family}:{self.number}"
 
 
-def _marker_of(text: str) -> _Marker | None:
-    """Return the marker that an entry names; None when it names a file.
+#: What `targets.images` may name.
+_Entry = _Marker | _Family | Path
+
+
+def _marker_of(text: str) -> _Marker | _Family | None:
+    """Return the marker, or all of a family, that an entry names; None when it names a file.
 
     Raises
     ------
@@ -146,10 +197,7 @@ def _marker_of(text: str) -> _Marker | None:
     try:
         require_marker_family(family)
         if number == "*":
-            raise ParameterError(
-                f"targets.images: {text}: all ids of a family at once are not supported; need one entry for each "
-                f"marker, {family}:0, {family}:1, ..."
-            )
+            return _Family(family)
         found = _Marker(family, int(number))
         distance = marker_distance(family, found.number)
     except ShapeError as error:
@@ -163,11 +211,13 @@ def _marker_of(text: str) -> _Marker | None:
 
 def _path_of(text: str) -> Path:
     if text in MARKER_FAMILIES and not os.path.exists(text):
-        raise ParameterError(f"targets.images: {text}: a family of markers without an id; need {text}:0, ...")
+        raise ParameterError(f"targets.images: {text}: a family of markers without an id; need {text}:0 or {text}:*")
     return expanded_path(text)
 
 
-def _default_name(entry: _Marker | Path) -> str:
+def _default_name(entry: _Entry) -> str:
+    if isinstance(entry, _Family):
+        return entry.family
     return f"{entry.family}_{entry.number}" if isinstance(entry, _Marker) else name_from_stem(entry.stem)
 
 
@@ -212,8 +262,8 @@ def _checked_name(name: str) -> str:
     return name
 
 
-def _refuse_collisions(names: list[str], entries: list[_Marker | Path]) -> None:
-    seen: dict[str, _Marker | Path] = {}
+def _refuse_collisions(names: list[str], entries: list[_Entry]) -> None:
+    seen: dict[str, _Entry] = {}
     for name, entry in zip(names, entries, strict=True):
         if name in seen:
             raise ParameterError(f"targets.names: {name!r} for both {seen[name]} and {entry}; need different names")

@@ -50,12 +50,28 @@ class MarkerImage(TargetImage):
     layout: MarkerLayout = field(kw_only=True)
     template: LayoutTemplate = field(kw_only=True)
 
+    @property
+    def sheet_width_m(self) -> float:
+        """See `TargetImage.sheet_width_m`."""
+        left, _, right, _ = self.template.outline
+        return self.width_m * self.template.size[0] / (right - left)
+
+    @property
+    def entry(self) -> str:
+        """See `TargetImage.entry`: family and id."""
+        return str(self.layout.markers[0])
+
 
 class BoardImage(MarkerImage):
     """The picture of a board of markers."""
 
     __slots__ = ()
     kind: ClassVar[str] = "board"
+
+    @property
+    def entry(self) -> str:
+        """See `TargetImage.entry`: a board has a file."""
+        return ""
 
 
 _Kind = TypeVar("_Kind", bound=MarkerImage)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -19,6 +19,11 @@ from imgu_ros.reference.templates import LightTemplates, TemplateOctave
 from imgu_ros.result import ReferenceResult
 from imgu_ros.types import Matrix3, Points
 from imgu_ros.vision.camera.rigid import RigidTransform
+
+
+def names_of(references: Iterable[Reference]) -> list[str]:
+    """Return the names of what results of references are about, now."""
+    return [each.name for reference in references for each in reference.shown]
 
 
 class Reference(ABC):
@@ -100,6 +105,20 @@ class Reference(ABC):
         """What is found and tracked of it: itself, or several planes of a rigid thing."""
         return (self,)
 
+    @property
+    def shown(self) -> tuple[Reference, ...]:
+        """What its results are about, now: itself, or the members of a family that were seen."""
+        return (self,)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names that its results may ever have."""
+        return (self.name,)
+
+    def sought(self, found: Container[str]) -> tuple[Reference, ...]:
+        """Return what is to be looked for where these parts, names, have been found: all, or nothing."""
+        return () if any(part.name in found for part in self.parts) else self.parts
+
     def place_of(self, part: str) -> RigidTransform:
         """Return `reference_from_part`."""
         return RigidTransform(np.eye(3), np.zeros(3))
@@ -113,6 +132,10 @@ class Reference(ABC):
         frame : gives the camera
         """
         return found[self.name]
+
+    def results(self, found: Mapping[str, ReferenceResult], frame: Frame) -> tuple[ReferenceResult, ...]:
+        """Return its results of a frame; arguments as `combined`."""
+        return (self.combined(found, frame),)
 
     def require_detectable(self, min_inliers: int) -> None:  # noqa: B027 (most kinds can always be detected)
         """Compute what detection compares frames with.

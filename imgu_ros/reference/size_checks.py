@@ -62,7 +62,7 @@ class SizeChecks:
     """
 
     def __init__(self, references: Iterable[Reference] = ()) -> None:
-        self._widths_m = {reference.name: reference.width_m for reference in references}
+        self._widths_m = {name: each.width_m for each in references for name in each.names}
         self.warnings: dict[str, str] = {}
 
     def add(self, result: Result) -> list[str]:

@@ -48,6 +48,16 @@ class TargetImage:
     width_m: float
     is_linear: bool = False
 
+    @property
+    def sheet_width_m(self) -> float:
+        """Width of all that the picture shows; that of a marker has a margin."""
+        return self.width_m
+
+    @property
+    def entry(self) -> str:
+        """The entry of `targets.images` that names it without a file; empty: it is a picture."""
+        return ""
+
     def shows_the_same(self, other: TargetImage) -> bool:
         """Return whether both are the same picture, of whatever width."""
         if self.pixels is other.pixels:

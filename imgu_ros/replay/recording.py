@@ -210,7 +210,7 @@ def _write_side_files(out: Path, targets: Sequence[TargetImage], simulation: Sim
         write_image(path, target.pixels)
     values: dict[str, object] = {
         "targets": {
-            "images": [str(path) for path in paths],
+            "images": [target.entry or str(path) for path, target in zip(paths, targets, strict=True)],
             "widths_m": [float(target.width_m) for target in targets],
             "names": [target.name for target in targets],
         }

@@ -98,18 +98,19 @@ def replay(
             warnings.add(bag.warnings, source.warnings)
             raise BagError(f"{source.image_topic.name}: no image in the bag can be read; need at least one")
         warnings.add(first.warnings)
-        total, names = source.image_topic.count, tuple(target.name for target in targets)
+        total, names = source.image_topic.count, tuple(target.name for target in targets if len(target.names) == 1)
+        ids = tuple(name for target in targets if len(target.names) > 1 for name in target.names)
         folder = stack.enter_context(
             output_folder(
                 out,
-                replay_contents(names),
+                replay_contents((*names, *ids)),
                 overwrite=overwrite,
                 inputs=bags,
                 on_warning=lambda text: warnings.add([text]),
             )
         )
         sink = stack.enter_context(
-            result_sink(ReplayOutput(folder, OutputParameters.of(parameters), names, recorded, total))
+            result_sink(ReplayOutput(folder, OutputParameters.of(parameters), names, recorded, total, ids))
         )
         statistics = _ReplayRun(total, targets, parameters, recorded, warnings, on_progress).over(
             chained([first], frames), sink
@@ -126,7 +127,7 @@ def replay(
             recording=tuple(os.path.abspath(path) for path in bags),
             rate_hz=rate_hz,
         )
-        sizes = {target.name: target.size for target in targets}
+        sizes = {name: target.size for target in targets for name in target.names}
         summary = sink.report(
             FinishedReplay(folder, statistics, described, truths, sizes, parameters, warnings.listed())
         )

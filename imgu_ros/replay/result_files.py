@@ -37,6 +37,7 @@ class ReplayOutput:
     targets : names
     record : outputs to record beside those that always are
     expected : number of frames, as far as it is known
+    ids : names that ids of families have when they are seen
     """
 
     folder: RunFolder
@@ -44,6 +45,7 @@ class ReplayOutput:
     targets: tuple[str, ...]
     record: tuple[str, ...]
     expected: int
+    ids: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +117,7 @@ class BagFiles:
         self._folder = output.folder
         self._is_whole = True
         unfinished = self._folder.make(_PART) / RESULTS
-        self._messages = ResultsBag(unfinished, output.parameters, output.targets, output.record)
+        self._messages = ResultsBag(unfinished, output.parameters, (*output.targets, *output.ids), output.record)
 
     def __enter__(self) -> Self:
         return self

@@ -76,8 +76,8 @@ class FrameTable:
 
     @property
     def frame_rows(self) -> Mask:
-        """One row for each frame: that of the first target, (R,)."""
-        return self.of_target(0)
+        """One row for each frame, (R,): that of the first target; the first one where it is none of its targets."""
+        return np.asarray(self.of_target(0) | (np.diff(self.stamp_ns, prepend=self.stamp_ns[:1] - 1) != 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -186,7 +186,7 @@ def _not_seen(last: Result, source: ImageInput, worker: LocalizerWorker, now: fl
     # Of the targets not found, the one with the most inliers.
     most = failures.most_inliers
     name = max(most, key=lambda key: most[key], default=last.first.name)
-    reason = last.references[name].reason
+    reason = last.references.get(name, last.first).reason
     yield Cause(
         CauseKind.NOT_SEEN,
         f"target not seen: {name}: best so far {most.get(name, 0)} inliers, "

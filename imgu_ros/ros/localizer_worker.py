@@ -69,13 +69,12 @@ class SearchFailures:
 
     def add(self, result: Result, now_s: float) -> None:
         """Take the result of one more frame."""
-        most = dict(self._most)
+        most = {}
         for target in result:
             if target.status.found:
                 self._found_s = now_s
-                most.pop(target.name, None)
             else:
-                most[target.name] = max(most.get(target.name, 0), target.most_inliers)
+                most[target.name] = max(self._most.get(target.name, 0), target.most_inliers)
         self._most = most
 
     def clear(self) -> None:

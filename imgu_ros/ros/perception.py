@@ -12,6 +12,8 @@ from imgu_ros.files.frame_reading import frame_reading
 from imgu_ros.files.target_images import load_target_images
 from imgu_ros.localizer import PreparedLocalizer
 from imgu_ros.messages.diagnostics import HealthEntry
+from imgu_ros.reference.family import MOST_MEMBERS
+from imgu_ros.reference.reference import names_of
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.remarks import Remarks
 from imgu_ros.result import Result
@@ -89,11 +91,11 @@ class PerceptionNode(ManagedNode[ImageInput, LocalizerWorker]):
             self._worker.use(built)
             for line in self._worker.poor_targets.values():
                 self.get_logger().warning(line)
-            self._fit_outputs([target.name for target in built.references], self._server.parameters)
+            self._fit_outputs(self._names(), self._server.parameters)
 
     def _follow(self, parameters: Parameters) -> None:
         self._worker.follow()
-        names = [target.name for target in self._worker.targets]
+        names = self._names()
         if self._outputs is not None and not self._outputs.serves(names, OutputParameters.of(parameters)):
             try:
                 with self._worker.soon_between_frames() as between:
@@ -107,6 +109,21 @@ class PerceptionNode(ManagedNode[ImageInput, LocalizerWorker]):
         if self._input.is_open and self._input.looks_rectified and not parameters.camera.rectified:
             topic = self._input.topics.image
             self._warn_once("rect", f"{topic} looks like rectified images; then set camera.rectified to true")
+
+    def _names(self) -> list[str]:
+        """Return the targets that have topics: of a family the ids that were seen or are listened to."""
+        targets = self._worker.targets
+        names = names_of(targets)
+        of_families = {name for each in targets if len(each.names) > 1 for name in each.names}
+        if of_families:
+            prefix = self.resolve_topic_name("targets/_").removesuffix("_")
+            # A subscriber to a topic makes it known.
+            for topic, _ in self.get_topic_names_and_types():
+                name = topic.removeprefix(prefix).partition("/")[0] if topic.startswith(prefix) else ""
+                is_new = name in of_families and name not in names and len(names) < MOST_MEMBERS
+                if is_new and self.count_subscribers(topic):
+                    names.append(name)
+        return names
 
     def _health(self) -> list[HealthEntry]:
         return self._explainer.health()

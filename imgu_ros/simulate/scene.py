@@ -78,19 +78,19 @@ def size_of(target: TargetImage) -> tuple[int, int]:
 def radius_of(target: TargetImage) -> float:
     """Return the distance from the target's centre to a corner, m."""
     width, height = size_of(target)
-    return target.width_m / 2 * math.hypot(1.0, height / width)
+    return target.sheet_width_m / 2 * math.hypot(1.0, height / width)
 
 
 def template_matrix(target: TargetImage) -> Matrix3:
     """Return `target_from_template`, the (3, 3) map from template pixels to metres on the target."""
-    return target_from_template(size_of(target), target.width_m)
+    return target_from_template(size_of(target), target.sheet_width_m)
 
 
 def _grid(targets: Sequence[TargetImage]) -> Floats:
     """Return centres, (N, 3) m, row by row, such that no two targets touch and their mean is the origin."""
     columns = math.ceil(math.sqrt(len(targets)))
-    pitch_x = (1 + _GAP) * max(t.width_m for t in targets)
-    pitch_y = (1 + _GAP) * max(t.width_m * t.pixels.shape[0] / t.pixels.shape[1] for t in targets)
+    pitch_x = (1 + _GAP) * max(t.sheet_width_m for t in targets)
+    pitch_y = (1 + _GAP) * max(t.sheet_width_m * t.pixels.shape[0] / t.pixels.shape[1] for t in targets)
     # A target rolled by the largest angle needs this much more room.
     room = math.cos(_LARGEST_LEAN_RAD) + math.sin(_LARGEST_LEAN_RAD) * max(pitch_x / pitch_y, pitch_y / pitch_x)
     index = np.arange(len(targets))

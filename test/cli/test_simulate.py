@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -12,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.cli.main import main
 from imgu_ros.config.files import read_parameter_file
+from imgu_ros.files.frames_csv import read_rows
 from imgu_ros.image_files.images import write_image
 from imgu_ros.simulate.texture import procedural_texture
 from imgu_ros.simulate.truth import read_truth
@@ -102,6 +104,30 @@ def test_several_templates(tmp_path: Path) -> None:
     assert main([*SMALL, "--out", str(out), "--targets", "2", "--overwrite"]) == 0
     assert {t.target for t in read_truth(out / "truth.csv")} == {"poster", "poster_2"}
     assert not (out / "grey.png").exists()
+
+
+@pytest.mark.skipif(not hasattr(cv2, "aruco"), reason="this OpenCV has no aruco module")
+def test_a_marker_is_as_wide_as_asked(tmp_path: Path) -> None:
+    """The width is that of the black square: by the exact homography its corners are where they should be."""
+    out = tmp_path / "bag"
+    options = ["--size", "640x480", "--frames", "2", "--tilt", "40"]
+    assert main(["simulate", *options, "--out", str(out), "--template", "tag36h11:7", "--width-m", "0.2"]) == 0
+    values = read_parameter_file(out / "params.yaml")
+    assert (values["targets.images"], values["targets.widths_m"]) == (("tag36h11:7",), (0.2,))
+    results = tmp_path / "results"
+    assert main(["replay", str(out), "--params-file", str(out / "params.yaml"), "--out", str(results)]) == 0
+
+    first, _ = read_rows(results / "frames.csv")
+    true = read_truth(out / "truth.csv")[0]
+    assert first["pose_status"] == "metric"
+    t = np.array([float(first[name]) for name in ("tx", "ty", "tz")])
+    assert np.linalg.norm(t - true.pose.t) < 2e-3 * np.linalg.norm(true.pose.t)
+
+
+def test_all_ids_are_no_template(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("cv2.aruco")
+    assert main([*SMALL, "--out", str(tmp_path / "bag"), "--template", "tag36h11:*"]) == 1
+    assert "all ids of a family; need one, tag36h11:7" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

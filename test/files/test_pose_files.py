@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgu_ros.errors import FileError
+from imgu_ros.files import pose_files
 from imgu_ros.files.pose_files import AMBIGUOUS_COLUMNS, PoseFiles, seconds_text
 from imgu_ros.frame import Frame
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status, by_name
@@ -20,12 +21,11 @@ QUARTER_TURN_ABOUT_Z = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 POSE = Pose(QUARTER_TURN_ABOUT_Z, np.array([1.0, 2.0, 3.0]), np.diag([1.0, 2, 3, 4, 5, 6]), 0.5)
 
 
-def result(pose_status: PoseStatus) -> Result:
-    frame = Frame(RawImage(np.zeros((2, 2), np.uint8), PixelLayout(ColorModel.MONO)), 1_000_000_005, "cam,era", None)
+def result(pose_status: PoseStatus, name: str = "poster", later_s: int = 0) -> Result:
+    image, stamp_ns = RawImage(np.zeros((2, 2), np.uint8), PixelLayout(ColorModel.MONO)), 1_000_000_005
+    frame = Frame(image, stamp_ns + later_s * 1_000_000_000, "cam,era", None)
     pose = POSE if pose_status is PoseStatus.METRIC else None
-    target = ReferenceResult(
-        "poster", 0, Status.DETECTED, pose_status, pose=pose, solutions=(POSE, POSE), ambiguity=0.9
-    )
+    target = ReferenceResult(name, 0, Status.DETECTED, pose_status, pose=pose, solutions=(POSE, POSE), ambiguity=0.9)
     return Result(frame, by_name((target,)))
 
 
@@ -56,6 +56,23 @@ def test_ambiguous_pose_gives_both_solutions_and_no_trajectory(tmp_path: Path) -
         6,
         0,
     ]
+
+
+def test_targets_that_come_later_have_files_from_their_first_pose_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many there are, few files are open."""
+    monkeypatch.setattr(pose_files, "_MOST_OPEN", 2)
+    names = [f"tag_{number}" for number in (1, 2, 3, 1, 3, 2)]
+    with PoseFiles(tmp_path, []) as files:
+        assert not list(tmp_path.glob("*.tum"))
+        for number, name in enumerate(names):
+            files.write(result(PoseStatus.METRIC, name, number))
+    for name in set(names):
+        lines = (tmp_path / f"poses_{name}.tum").read_text().splitlines()
+        assert [line.split()[0] for line in lines] == [
+            f"{number + 1}.000000005" for number, other in enumerate(names) if other == name
+        ]
 
 
 def test_unwritable(tmp_path: Path) -> None:

@@ -9,10 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
 from imgu_ros.config.files import read_parameter_file
 from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import ParameterError
+from imgu_ros.reference.marker import marker_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.replay.recording import record_simulation
 from imgu_ros.replay.replay import replay
@@ -56,6 +59,41 @@ def test_a_list_in_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         t = np.array([float(row[name]) for name in ("tx", "ty", "tz")])
         assert np.linalg.norm(t - true.pose.t) < 2e-3 * np.linalg.norm(true.pose.t)
     assert (out / "poses_tag36h11_7.tum").exists()
+
+
+def test_all_ids_of_a_family(tmp_path: Path) -> None:
+    """Two of 587 are seen, the second one later; the same files come out twice, but for times."""
+    images = [marker_image(f"tag36h11_{number}", "tag36h11", number, 0.1) for number in (7, 300)]
+    bag = tmp_path / "bag"
+    record_simulation(bag, Simulation(width=480, height=360, frames=24), targets=images)
+    parameters = parameters_from({"targets.images": ["tag36h11:*"], "targets.widths_m": [0.1]})
+    tables = []
+    for run in range(2):
+        out = tmp_path / f"out{run}"
+        summary = replay([bag], out, parameters, truth=bag / "truth.csv")
+        with (out / "frames.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        tables.append([{key: row[key] for key in row if not key.startswith("t_")} for row in rows])
+    assert tables[0] == tables[1]
+    names = {row["target"] for row in tables[0]}
+    assert names - {"tag36h11"} == {"tag36h11_7", "tag36h11_300"}
+    assert summary.frames == 24 and summary.total_ms is not None
+    truth = {(each.stamp_ns, each.target): each for each in read_truth(bag / "truth.csv")}
+    posed = [row for row in tables[0] if row["pose_status"] == "metric"]
+    assert len(posed) > 24
+    for row in posed:
+        t = np.array([float(row[name]) for name in ("tx", "ty", "tz")])
+        true = truth[int(row["stamp_ns"]), row["target"]].pose.t
+        assert np.linalg.norm(t - true) < 5e-3 * np.linalg.norm(true)
+    files = {path.name for path in out.iterdir()}
+    assert {"poses_tag36h11_7.tum", "poses_tag36h11_300.tum"} <= files
+    assert not {"poses_tag36h11.tum", "poses_tag36h11_8.tum"} & files
+    with AnyReader([out / "results"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        topics = {connection.topic for connection in reader.connections}
+    assert {"/targets/tag36h11_7/pose", "/targets/tag36h11_300/odom"} <= topics
+    # Later runs know the files that may be there.
+    replay([bag], out, parameters_from({"targets.images": ["tag36h11:300"]}), overwrite=True)
+    assert not (out / "poses_tag36h11_7.tum").exists()
 
 
 @pytest.mark.parametrize(

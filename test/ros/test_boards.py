@@ -20,7 +20,7 @@ from imgu_ros.localizer import Localizer
 from imgu_ros.messages.geometry import pose_message
 from imgu_ros.messages.results import result_header
 from imgu_ros.reference.bundle import BundleImage
-from imgu_ros.reference.marker import BoardImage, MarkerImage
+from imgu_ros.reference.marker import BoardImage, MarkerImage, marker_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import prepare_references
 from imgu_ros.result import Result, Status
@@ -130,3 +130,50 @@ def test_a_board_file_that_cannot_be_used_is_said(imgu: Any, tmp_path: Path) -> 
     started = imgu("node", "perception", "-p", f"targets.images:=[{path}]", "-r", "image_raw:=/cam/image_raw")
     assert started.wait() == 1
     assert "grid: 'gab': no key of a board; did you mean gap?" in started.text
+
+
+def test_ids_of_a_family_have_topics_when_they_are_seen_or_listened_to(imgu: Any, peer: Any, make_camera: Any) -> None:
+    """One id is listened to before it is seen; another one's topics appear with it; a third is never seen."""
+    images = [marker_image(f"aruco_4x4_50_{number}", "aruco_4x4_50", number, 0.08) for number in (1, 2)]
+    camera, frames, results = camera_of(K, [], "plumb_bob", WIDTH, HEIGHT), [], []
+    parameters = parameters_from({"targets.images": ["aruco_4x4_50:*"], "targets.widths_m": [0.08]})
+    own = Localizer(parameters, prepare_references(load_target_images(parameters.targets), parameters))
+    for index in range(12):
+        scene = np.full((2 * HEIGHT, 2 * WIDTH), 0.3, np.float32)
+        for image, x in zip(images, (-0.1, 0.1), strict=True):
+            drawn(scene, image, from_euler((np.pi - 0.4, 0.3, 0.1), "zyx"), np.array((x, 0.002 * index, 0.6)))
+        values = cv2.resize(cv2.GaussianBlur(scene, (0, 0), 1.0), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+        raw = np.clip(np.rint(255 * values), 0, 255).astype(np.uint8)
+        layout = PixelLayout(ColorModel.BAYER, BayerPattern.RGGB)
+        frames.append(Frame(RawImage(raw, layout), 1_000_000_000 + 33_000_000 * index, "cam", camera))
+        results.append(own.process(frames[-1]))
+    assert [*results[0].references] == ["aruco_4x4_50_1", "aruco_4x4_50_2"]
+    options = ("-p", 'targets.images:=["aruco_4x4_50:*"]', "-p", "targets.widths_m:=[0.08]")
+    started = imgu("node", "perception", *options, "-r", "image_raw:=/cam/image_raw")
+    started.wait_for_line("targets: aruco_4x4_50")
+    topics = {number: f"/targets/aruco_4x4_50_{number}/pose" for number in (1, 2, 3)}
+    peer.hear(topics[1], POSE)
+    sender = make_camera(peer)
+    sender.wait_for_node()
+    for count, frame in enumerate(frames[:4], 1):
+        sender.send(frame)
+        peer.wait(lambda n=count: len(peer.heard[topics[1]]) == n, f"pose {count} of the one that is listened to")
+    made = {topic for topic, _ in peer.node.get_topic_names_and_types()}
+    peer.wait(lambda: topics[2] in {topic for topic, _ in peer.node.get_topic_names_and_types()}, "topics of the other")
+    peer.hear(topics[2], POSE)
+    peer.wait(lambda: peer.node.count_publishers(topics[2]) == 1, "its publisher")
+    for count, frame in enumerate(frames[4:], 5):
+        sender.send(frame)
+        peer.wait(
+            lambda n=count: all(len(peer.heard[topics[i]]) == n - s for i, s in ((1, 0), (2, 4))), f"poses {count}"
+        )
+    for index, result in enumerate(results):
+        found = result.references["aruco_4x4_50_1"]
+        assert peer.heard[topics[1]][index] == pose_message(make_message, result_header(result), found.pose)
+    last = results[-1]
+    assert peer.heard[topics[2]][-1] == pose_message(
+        make_message, result_header(last), last.references["aruco_4x4_50_2"].pose
+    )
+    assert topics[3] not in made
+    started.stop()
+    assert started.process.returncode == 0 and "Traceback" not in started.text
