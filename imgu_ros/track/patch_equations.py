@@ -28,6 +28,8 @@ _SETTLED = 0.5
 _OF_SPREAD = np.arange(8, 11)
 #: Among these the variance of the patches' own displacements is chosen, px^2.
 _OWN_VARIANCES = np.concatenate(([0.0], np.geomspace(1e-5, 0.25, 19)))
+#: The normal distribution's quantile below which one sum of squares in twenty is, see Wilson & Hilferty (1931).
+_QUANTILE_05 = -1.6449
 #: Variance of a normal distribution over the median of its square.
 _OF_MEDIAN_SQUARE = 1 / 0.4549
 #: One of so many sites is looked at for the noise.
@@ -144,7 +146,9 @@ class PatchEquations:
         e: Singles = (x.astype(np.float32).transpose(0, 2, 1) @ self._terms.transpose(1, 0, 2))[:, 0]
         return e
 
-    def solved(self, own: float, kept: Mask, rounds: int, fewest: int, least_own: float = 0.0) -> PatchSolution:
+    def solved(
+        self, own: float, kept: Mask, rounds: int, fewest: int, least_own: float = 0.0, is_exact: bool = False
+    ) -> PatchSolution:
         """Solve for motion and spread, with a random displacement of each patch.
 
         Parameters
@@ -153,6 +157,7 @@ class PatchEquations:
         rounds : both are estimated so often
         fewest : patches that must agree
         least_own : smallest variance of their own displacements, px^2
+        is_exact : where patches agree better than by such a variance, it is smaller
 
         Raises
         ------
@@ -192,7 +197,7 @@ class PatchEquations:
             rotated = rows[:, 11] - rows[:, :11] @ theta
             along = (rotated**2 / strengths).reshape(-1, 2)
             rotated = rotated.reshape(-1, 2)
-            own = max(_own_variance(along[kept], strength[kept]), least_own)
+            own = _own_variance(along[kept], strength[kept], least_own, is_exact)
             kept = (along / (1 + own * strength)).sum(axis=1) < _OUTLIER
         unknown = cv2.solve(scaled[8:, 8:], scaled[8:, :8], flags=cv2.DECOMP_LU)[1]
         information = (scaled[:8, :8] - scaled[:8, 8:] @ unknown) * (scale[:8, None] * scale[:8])
@@ -239,11 +244,21 @@ def _eigen(S: Floats) -> tuple[Floats, Floats]:
     return np.maximum(values, floor, dtype=np.float64), vectors.astype(np.float64, copy=False)
 
 
-def _own_variance(squares: Floats, strength: Floats) -> float:
-    """Return the variance of the patches' own displacements that makes their mean misfit that of chi-squared."""
+def _own_variance(squares: Floats, strength: Floats, least: float, is_exact: bool) -> float:
+    """Return the variance of the patches' own displacements that makes their mean misfit that of chi-squared.
+
+    It is at least `least`; of exact edges less where so small a misfit would be by chance in one frame of twenty only:
+    many patches tell it better than what is known beforehand.
+    """
     misfits = (squares / (1 + _OWN_VARIANCES[:, None, None] * strength)).sum(axis=(1, 2))
-    below = np.flatnonzero(misfits <= max(2 * len(squares) - 8, 1))
-    return float(_OWN_VARIANCES[below[0] if len(below) else -1])
+    freedom = max(2 * len(squares) - 8, 1)
+    below = np.flatnonzero(misfits <= freedom)
+    own = float(_OWN_VARIANCES[below[0] if len(below) else -1])
+    if is_exact and own < least:
+        part = 2 / (9 * freedom)
+        possible = misfits >= freedom * max(1 - part + _QUANTILE_05 * part**0.5, 0.0) ** 3
+        least = min(least, float(_OWN_VARIANCES[possible].max(initial=0.0)))
+    return max(own, least)
 
 
 def noise_of(e: Singles, slope2: Singles, brightness: Singles, usable: Mask) -> tuple[float, float]:

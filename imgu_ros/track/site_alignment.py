@@ -252,7 +252,7 @@ class SiteAlignment:
             usable, brightness = self._usable[:count], self._brightness[:count]
             weights = usable / (np.float32(noise) * brightness + np.float32(registration) * slope2)
             equations = PatchEquations(self._terms[:, :count], weights, len(self._slices), by)
-            solution = equations.solved(own, kept[:count], 1, self._fewest, self._least_own())
+            solution = equations.solved(own, kept[:count], 1, self._fewest, self._least_own(), self._is_exact)
             before = self._G
             own, spread, moved = solution.own, solution.theta[8:], self._moved(solution.theta, by)
             e = equations.residuals(by @ solution.theta[:8], spread)
@@ -266,7 +266,7 @@ class SiteAlignment:
                     variance = np.float32(noise) * brightness + np.float32(registration) * slope2
                     weights = usable / (variance * np.maximum(np.abs(e) / (np.float32(_HUBER) * np.sqrt(variance)), 1))
                     equations = PatchEquations(self._terms, weights, len(self._slices), by)
-                    solution = equations.solved(own, kept, 2, self._fewest, self._least_own())
+                    solution = equations.solved(own, kept, 2, self._fewest, self._least_own(), self._is_exact)
                     own, kept, spread = solution.own, solution.kept, solution.theta[8:]
                     moved = self._moved(solution.theta, by)
                     break
