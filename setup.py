@@ -69,6 +69,8 @@ setup(
         "test": [
             "coverage>=7.4",
             "hypothesis>=6.98",
+            "mcap>=1.2",
+            "mcap-ros2-support>=0.5",
             "mypy>=1.11",
             "pypdfium2>=4.30",
             "pytest>=7.4",

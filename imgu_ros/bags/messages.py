@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from imgu_ros.bags.viewer_definitions import VIEWER_DEFINITIONS
 from imgu_ros.errors import BagError, ShapeError, nearest_name
 from imgu_ros.types import Image
 
@@ -54,8 +55,11 @@ def make_message(type_name: str, /, **fields: object) -> Any:
 
 @cache
 def typestore() -> Typestore:
-    """Return rosbags' definitions of the ROS 2 Jazzy interfaces, loaded once."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    """Return rosbags' definitions of the ROS 2 Jazzy interfaces, and those that viewers know, loaded once."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in VIEWER_DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 @cache

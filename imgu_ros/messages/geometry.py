@@ -44,7 +44,7 @@ def pose_message(make: MessageFactory, header: Header, pose: Pose) -> Any:
     return make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         header=header_message(make, header),
-        pose=_pose_with_covariance(make, pose),
+        pose=pose_with_covariance(make, pose),
     )
 
 
@@ -57,12 +57,12 @@ def odometry_message(make: MessageFactory, header: Header, target_frame: str, ca
     target_frame : becomes the header's frame
     camera_from_target : is inverted, its covariance with it; the twist is unknown: zero, with variances of 1e6
     """
-    zero = _vector(make, np.zeros(3))
+    zero = vector(make, np.zeros(3))
     return make(
         "nav_msgs/msg/Odometry",
         header=header_message(make, Header(header.stamp_ns, target_frame)),
         child_frame_id=header.frame_id,
-        pose=_pose_with_covariance(make, camera_from_target.inverse()),
+        pose=pose_with_covariance(make, camera_from_target.inverse()),
         twist=make(
             "geometry_msgs/msg/TwistWithCovariance",
             twist=make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
@@ -114,7 +114,7 @@ class PathHistory:
             make(
                 "geometry_msgs/msg/PoseStamped",
                 header=header_message(make, header),
-                pose=_pose(make, target_from_camera.R, target_from_camera.t),
+                pose=pose_of(make, target_from_camera.R, target_from_camera.t),
             )
         )
         self._standing = self._standing + 1 if stamp_ns == self._sent_ns else 0
@@ -134,7 +134,7 @@ def tf_message(make: MessageFactory, transforms: Sequence[StampedTransform]) -> 
             child_frame_id=transform.child,
             transform=make(
                 "geometry_msgs/msg/Transform",
-                translation=_vector(make, transform.parent_from_child.t),
+                translation=vector(make, transform.parent_from_child.t),
                 rotation=_quaternion(make, transform.parent_from_child.R),
             ),
         )
@@ -159,18 +159,21 @@ def decode_tf_message(message: Any) -> list[StampedTransform]:
     return transforms
 
 
-def _pose_with_covariance(make: MessageFactory, pose: Pose) -> Any:
+def pose_with_covariance(make: MessageFactory, pose: Pose) -> Any:
+    """Return a geometry_msgs/PoseWithCovariance."""
     covariance = np.array(pose.covariance, np.float64).reshape(36)
-    return make("geometry_msgs/msg/PoseWithCovariance", pose=_pose(make, pose.R, pose.t), covariance=covariance)
+    return make("geometry_msgs/msg/PoseWithCovariance", pose=pose_of(make, pose.R, pose.t), covariance=covariance)
 
 
-def _pose(make: MessageFactory, R: Matrix3, t: Floats) -> Any:
+def pose_of(make: MessageFactory, R: Matrix3, t: Floats) -> Any:
+    """Return a geometry_msgs/Pose of a rotation and a place, (3,) m."""
     x, y, z = (float(value) for value in t)
     position = make("geometry_msgs/msg/Point", x=x, y=y, z=z)
     return make("geometry_msgs/msg/Pose", position=position, orientation=_quaternion(make, R))
 
 
-def _vector(make: MessageFactory, values: Floats) -> Any:
+def vector(make: MessageFactory, values: Floats) -> Any:
+    """Return a geometry_msgs/Vector3 of (3,) numbers."""
     x, y, z = (float(value) for value in values)
     return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 

@@ -35,11 +35,10 @@ class Scope(Enum):
 
 
 class Recording(Enum):
-    """Whether the results bag of a replay has a topic: always, when it is asked for, or never."""
+    """Whether the results bag of a replay has a topic: always, or when it is asked for."""
 
     ALWAYS = auto()
     ON_REQUEST = auto()
-    NEVER = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +55,7 @@ class OutputTopic:
     state : makes what the topic remembers between frames, one object for each of its targets, which `message` gets as
         `OutputContext.state`; `ResultConverter.reset` drops it
     needs_keypoints : whether it can only be made when keypoints are detected in every frame
+    is_optional : whether a live node does without it where the package of its message is not installed
     """
 
     name: str
@@ -65,6 +65,7 @@ class OutputTopic:
     recording: Recording = Recording.ON_REQUEST
     state: Callable[[MessageFactory], Any] | None = None
     needs_keypoints: bool = False
+    is_optional: bool = False
 
 
 class ConvertedFrame:

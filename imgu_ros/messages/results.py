@@ -11,13 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from imgu_ros.messages.annotations import annotations_message
+from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.compressed_image import compressed_image_message
+from imgu_ros.messages.detections import detections_message
 from imgu_ros.messages.encodings import encoding_for
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.features import homographies_message, keypoints_message, matches_message
 from imgu_ros.messages.geometry import PathHistory, odometry_message, outline_message, pose_message
 from imgu_ros.messages.header import Header
 from imgu_ros.messages.image import image_message
+from imgu_ros.messages.markers import markers_message
 from imgu_ros.messages.output_topic import OutputContext, OutputTopic, Recording, Scope
 from imgu_ros.messages.status import status_message
 from imgu_ros.pose.frame_tree import StampedTransform
@@ -171,6 +175,27 @@ def _map_path(context: OutputContext) -> Any | None:
     return _continued_path(context, context.frame.camera_from_map, context.frame.parameters.frames.map)
 
 
+def _annotations(context: OutputContext) -> Any:
+    """Without anything to draw when nothing was found: what was drawn before goes."""
+    frame = context.frame
+    return annotations_message(frame.make, frame.header, frame.result)
+
+
+def _detections(context: OutputContext) -> Any:
+    frame = context.frame
+    return detections_message(frame.make, frame.header, frame.result)
+
+
+def _markers(context: OutputContext) -> Any:
+    frame = context.frame
+    return markers_message(frame.make, frame.header, frame.result)
+
+
+def _camera_info(context: OutputContext) -> Any | None:
+    frame, camera = context.frame, context.frame.result.frame.camera
+    return None if camera is None else camera_info_message(frame.make, frame.header, camera)
+
+
 def _continued_path(context: OutputContext, pose: Pose | None, frame_name: str) -> Any | None:
     if pose is None:
         return None
@@ -185,6 +210,10 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _PATH = "nav_msgs/msg/Path"
+_ANNOTATIONS = "foxglove_msgs/msg/ImageAnnotations"
+_DETECTIONS = "vision_msgs/msg/Detection2DArray"
+#: The camera that was used. A live node has it unless it is a topic that the node reads.
+CAMERA_INFO = "camera_info"
 
 #: Every output topic but /tf, which depends on the other transforms there (`ros/outputs.py`). A new output is one row.
 OUTPUTS: tuple[OutputTopic, ...] = (
@@ -196,14 +225,18 @@ OUTPUTS: tuple[OutputTopic, ...] = (
     OutputTopic("path", _PATH, _path, Scope.TARGET, state=PathHistory),
     OutputTopic("map/odom", _ODOMETRY, _map_odometry, Scope.MAP, Recording.ALWAYS),
     OutputTopic("map/path", _PATH, _map_path, Scope.MAP, state=PathHistory),
+    OutputTopic("annotations", _ANNOTATIONS, _annotations, recording=Recording.ALWAYS, is_optional=True),
+    OutputTopic("detections", _DETECTIONS, _detections, recording=Recording.ALWAYS, is_optional=True),
+    OutputTopic("markers", "visualization_msgs/msg/MarkerArray", _markers, recording=Recording.ALWAYS),
+    OutputTopic(CAMERA_INFO, "sensor_msgs/msg/CameraInfo", _camera_info, recording=Recording.ALWAYS),
     OutputTopic("keypoints", _CLOUD, _keypoints, needs_keypoints=True),
     OutputTopic("matches", _CLOUD, _matches),
     OutputTopic("image_color", _IMAGE, _color),
-    OutputTopic("image_color/compressed", _COMPRESSED, _compressed_color, recording=Recording.NEVER),
+    OutputTopic("image_color/compressed", _COMPRESSED, _compressed_color),
     OutputTopic("image_mono", _IMAGE, _mono),
-    OutputTopic("image_mono/compressed", _COMPRESSED, _compressed_mono, recording=Recording.NEVER),
+    OutputTopic("image_mono/compressed", _COMPRESSED, _compressed_mono),
     OutputTopic("debug_image", _IMAGE, _debug_image),
-    OutputTopic("debug_image/compressed", _COMPRESSED, _compressed_debug_image, recording=Recording.NEVER),
+    OutputTopic("debug_image/compressed", _COMPRESSED, _compressed_debug_image),
     OutputTopic("pyramid/level_", _IMAGE, _pyramid_level, Scope.LEVEL, needs_keypoints=True),
 )
 

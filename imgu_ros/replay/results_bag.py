@@ -12,8 +12,10 @@ from imgu_ros.bags.writing import BagWriter
 from imgu_ros.config.components import OutputParameters
 from imgu_ros.errors import ParameterError, nearest_name
 from imgu_ros.messages import results
+from imgu_ros.messages.geometry import tf_message
 from imgu_ros.messages.output_topic import OutputTopic, Recording, Scope
 from imgu_ros.messages.result_converter import ResultConverter
+from imgu_ros.messages.results import target_transforms
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result
 
@@ -35,6 +37,7 @@ class ResultsBag:
         self._converter = ResultConverter(make_message, draw_result, targets, parameters)
         topics = self._converter.topics()
         self._recorded = frozenset(topic for topic, row in topics.items() if is_recorded(topic, row, record))
+        self._target_prefix = parameters.frames.target_prefix
         self._writer = BagWriter(path)
 
     def close(self) -> None:
@@ -53,6 +56,10 @@ class ResultsBag:
         for made in self._converter.messages(frame, self._recorded.__contains__):
             first, *others = (f"/{topic}" for topic in made.topics)
             self._writer.write(first, made.message, time_ns, *others)
+        # A transform needs the names of both frames.
+        transforms = target_transforms(frame.result, self._target_prefix) if frame.header.frame_id else []
+        if transforms:
+            self._writer.write("/tf", tf_message(make_message, transforms), time_ns)
 
 
 def checked_record(record: Sequence[str]) -> tuple[str, ...]:

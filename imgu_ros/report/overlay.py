@@ -12,26 +12,17 @@ import numpy as np
 
 from imgu_ros.errors import FileError, ImguError
 from imgu_ros.image_files.images import RASTER_SUFFIXES, write_image
+from imgu_ros.messages.annotations import INLIER_COLOR, STATUS_COLORS
 from imgu_ros.reasons import unusable_frame
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status
 from imgu_ros.types import Floats, Image, Points
 from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.pose import Pose
 
-#: RGB; told apart by people with any colour vision (Okabe & Ito 2008).
-STATUS_COLORS = {
-    Status.TRACKED: (86, 180, 233),
-    Status.DETECTED: (0, 200, 130),
-    Status.LOST: (230, 159, 0),
-    Status.DEGENERATE: (204, 121, 167),
-    Status.REJECTED: (213, 94, 0),
-}
-
 #: Those of `files/vector_figure.py`, which loads Matplotlib.
 VECTOR_SUFFIXES = (".svg", ".pdf", ".eps", ".ps")
 
 _AXES = ((230, 40, 40), (40, 200, 40), (60, 110, 255))  # x red, y green, z blue, as in RViz
-_INLIER = (255, 230, 60)
 _SHIFT = 4  # drawing coordinates carry 4 bits of fraction
 _EDGE_POINTS = 17
 _NO_PICTURE = (180, 960)  # height, width of what stands for a frame that could not be decoded
@@ -148,7 +139,7 @@ def _draw_inliers(pen: _Pen, target: ReferenceResult) -> None:
     if target.matches is not None and target.status.found:
         xy = target.matches.image_xy[target.matches.inliers]
         pen.dots(xy, (0, 0, 0), 0.8 * pen.width + 1.3)
-        pen.dots(xy, _INLIER, 0.8 * pen.width + 0.5)
+        pen.dots(xy, INLIER_COLOR, 0.8 * pen.width + 0.5)
 
 
 def _draw_outline(pen: _Pen, target: ReferenceResult, camera: Camera | None) -> None:

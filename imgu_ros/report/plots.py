@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from imgu_ros.files.plot_style import plot_style
-from imgu_ros.report.overlay import STATUS_COLORS
+from imgu_ros.messages.annotations import STATUS_COLORS
 from imgu_ros.report.table import FrameTable
 from imgu_ros.result import Stage, Status
 from imgu_ros.types import Floats, Mask

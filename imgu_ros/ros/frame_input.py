@@ -65,6 +65,8 @@ class FrameInput:
         self.infos = RateMeter()
         self.counters = QosCounters()
         self._node = node
+        #: What others publish for the node, by full names, and it may not publish itself.
+        self.taken_topics = (camera_info_topic,) if camera_info_topic else ()
         self._info_topic = camera_info_topic
         self._expects_camera_info = bool(camera_info_topic)
         self._pairing: Pairing[FrameMessages, Any] = Pairing(expects_camera_info=self._expects_camera_info)

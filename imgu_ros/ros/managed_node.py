@@ -261,7 +261,7 @@ class ManagedNode(LifecycleNode, Generic[InputT, WorkerT]):
         if self._outputs is not None and self._outputs.serves(names, wanted):
             return
         if self._outputs is None:
-            self._outputs = Outputs(self, names, wanted, self._selection)
+            self._outputs = Outputs(self, names, wanted, self._selection, self._input.taken_topics)
         else:
             # Topics that stay keep their subscribers.
             self._outputs.adapt(names, wanted)

@@ -67,6 +67,15 @@ def message_class(type_name: str) -> Any:
         raise ImguError(f"{type_name}: {package} has no message {name!r}; need an existing message") from None
 
 
+def is_installed(type_name: str) -> bool:
+    """Return whether a message, "package/msg/Name", can be published from here."""
+    try:
+        message_class(type_name)
+    except ImguError:
+        return False
+    return True
+
+
 _TYPE_NAME = re.compile(r"[a-zA-Z]\w*/msg/[A-Z]\w*", re.ASCII)
 _HINTS = {
     "tf2_msgs": "pip does not have it: install it with ROS (apt install ros-jazzy-tf2-msgs) and source the setup file",

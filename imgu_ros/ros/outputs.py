@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,13 +15,13 @@ from rclpy.publisher import Publisher
 from imgu_ros.config.components import OutputParameters
 from imgu_ros.messages.geometry import tf_message
 from imgu_ros.messages.header import Header
-from imgu_ros.messages.output_topic import ConvertedFrame
+from imgu_ros.messages.output_topic import ConvertedFrame, OutputTopic
 from imgu_ros.messages.result_converter import ResultConverter
 from imgu_ros.messages.results import needs_keypoints, target_transforms
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result
 from imgu_ros.ros.map_to_root import TF_TOPIC, TF_TYPE, MapToRootPublisher
-from imgu_ros.ros.messages import make_message, message_class
+from imgu_ros.ros.messages import is_installed, make_message, message_class
 from imgu_ros.ros.qos import no_events, output_qos, overridable, override_names
 from imgu_ros.vision.camera.pose_fusion import FusedPose
 
@@ -142,6 +142,7 @@ class Outputs:
     target_names : in the order of `targets.images`
     parameters : those of the outputs
     selection : which topics; None: all of the node `perception`
+    taken : topics, by their full names, that others publish for the node: it publishes none of them
 
     Raises
     ------
@@ -155,9 +156,10 @@ class Outputs:
         target_names: Sequence[str],
         parameters: OutputParameters,
         selection: TopicSelection | None = None,
+        taken: Collection[str] = (),
     ) -> None:
         self._node = node
-        self._selection = selection
+        self._selection, self._taken = selection, frozenset(taken)
         self._publishers = Publishers(node)
         self._converter = ResultConverter(make_message, draw_result, target_names, parameters)
         self._tie: MapToRootPublisher | None = None
@@ -258,7 +260,7 @@ class Outputs:
         return self._parameters.publish_tf and self._is_chosen(TF_TOPIC)
 
     def _topics(self, converter: ResultConverter, parameters: OutputParameters) -> dict[str, PublishedTopic]:
-        types = {topic: row.type_name for topic, row in converter.topics().items()}
+        types = {topic: row.type_name for topic, row in converter.topics().items() if self._is_possible(topic, row)}
         types |= {TF_TOPIC: TF_TYPE} if parameters.publish_tf else {}
         types = {name: kind for name, kind in types.items() if self._is_chosen(name.removesuffix(_COMPRESSED_SUFFIX))}
         types |= self._selection.beside if self._selection else {}
@@ -268,6 +270,11 @@ class Outputs:
             name: PublishedTopic(kind, _DEPTH if name in own else depths.get(kind, _DEPTH))
             for name, kind in types.items()
         }
+
+    def _is_possible(self, topic: str, row: OutputTopic) -> bool:
+        return not (row.is_optional and not is_installed(row.type_name)) and (
+            self._node.resolve_topic_name(topic) not in self._taken
+        )
 
     def _is_chosen(self, topic: str) -> bool:
         return self._selection is None or self._selection.includes(topic) or topic in self._selection.beside

@@ -18,7 +18,7 @@ import rerun as rr
 
 from imgu_ros.errors import FileError
 from imgu_ros.file_access.atomic_files import file_errors, part_path
-from imgu_ros.report.overlay import STATUS_COLORS
+from imgu_ros.messages.annotations import STATUS_COLORS
 from imgu_ros.result import Status
 from imgu_ros.shown_text import shown
 from imgu_ros.types import Floats

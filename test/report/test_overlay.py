@@ -10,7 +10,8 @@ import pytest
 
 from imgu_ros.errors import FileError
 from imgu_ros.image_files.images import read_image
-from imgu_ros.report.overlay import STATUS_COLORS, draw_result, write_overlay
+from imgu_ros.messages.annotations import STATUS_COLORS
+from imgu_ros.report.overlay import draw_result, write_overlay
 from imgu_ros.result import PoseStatus, Status
 
 
