@@ -26,13 +26,15 @@ def test_rviz() -> None:
     shown = {}
     for display in manager["Displays"]:
         kind = display["Class"].removeprefix("rviz_default_plugins/")
-        assert kind in ("Grid", "TF", "Odometry", "Path", "Image")
+        assert kind in ("Grid", "TF", "Odometry", "Path", "Image", "MarkerArray")
         if "Topic" in display:
             topic = display["Topic"]
             assert TOPICS[topic["Value"]].rpartition("/")[2] == kind
             assert topic["Reliability Policy"] in ("Reliable", "Best Effort")
             shown[topic["Value"]] = display["Enabled"]
-    assert shown == {"odom": True, "path": True, "map/odom": False, "map/path": False, "debug_image": True}
+    assert shown == {
+        "odom": True, "path": True, "map/odom": False, "map/path": False, "debug_image": True, "markers": True,
+    }  # fmt: skip
 
 
 def strings(value: Any) -> Iterator[str]:
@@ -60,4 +62,8 @@ def test_foxglove() -> None:
     layout = json.loads((CONFIG / "perception.foxglove.json").read_text())
     assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
     topics = {match[1] for text in strings(layout["configById"]) if (match := re.match(r"/([a-z_/]+)", text))}
-    assert {"odom", "map/odom", "debug_image/compressed", "status", "diagnostics"} <= topics <= TOPICS.keys()
+    assert (
+        {"odom", "map/odom", "image_color/compressed", "annotations", "markers", "camera_info"}
+        <= topics
+        <= TOPICS.keys()
+    )

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from imgu_ros.messages.factory import MessageFactory
 from imgu_ros.messages.header import Header, header_message
 from imgu_ros.result import PoseStatus, ReferenceResult, Result, Status
@@ -24,8 +26,9 @@ INLIER_COLOR = (255, 230, 60)
 
 # Values of PointsAnnotation.type.
 _POINTS, _LINE_LOOP = 1, 2
-#: Thickness of a line, and height of a letter, in parts of the image's width.
-_LINE, _LETTER = 1 / 400, 1 / 40
+#: Thickness of a line, and height of a letter, in parts of the outline's diagonal, with bounds in px.
+_LINE, _LINE_PX = 1 / 200, (1.5, 6.0)
+_LETTER, _LETTER_PX = 1 / 12, (12.0, 60.0)
 
 
 def annotations_message(make: MessageFactory, header: Header, result: Result) -> Any:
@@ -33,17 +36,18 @@ def annotations_message(make: MessageFactory, header: Header, result: Result) ->
 
     Positions are raw px as in `outline`: (0, 0) is the centre of the top left pixel.
     """
-    width = result.frame.image.pixels.shape[1] if result.frame.image.pixels.ndim > 1 else 0
     points, texts = [], []
     stamp = header_message(make, header).stamp
     for found in result:
         if found.outline is None:
             continue
         color = STATUS_COLORS[found.status]
+        diagonal = float(np.linalg.norm(np.ptp(found.outline, axis=0)))
+        thickness = float(np.clip(_LINE * diagonal, *_LINE_PX))
         if found.matches is not None:
             inliers = found.matches.image_xy[found.matches.inliers]
-            points.append(_points(make, stamp, _POINTS, inliers, INLIER_COLOR, 2 * width * _LINE))
-        points.append(_points(make, stamp, _LINE_LOOP, found.outline, color, width * _LINE))
+            points.append(_points(make, stamp, _POINTS, inliers, INLIER_COLOR, 2 * thickness))
+        points.append(_points(make, stamp, _LINE_LOOP, found.outline, color, thickness))
         x, y = found.outline[0]
         texts.append(
             make(
@@ -51,7 +55,7 @@ def annotations_message(make: MessageFactory, header: Header, result: Result) ->
                 timestamp=stamp,
                 position=make("foxglove_msgs/msg/Point2", x=float(x), y=float(y)),
                 text=label(found),
-                font_size=width * _LETTER,
+                font_size=float(np.clip(_LETTER * diagonal, *_LETTER_PX)),
                 text_color=_color(make, color),
                 background_color=_color(make, (0, 0, 0), 0.6),
             )
@@ -77,7 +81,7 @@ def _points(
         points=[make("foxglove_msgs/msg/Point2", x=x, y=y) for x, y in xy.tolist()],
         outline_color=_color(make, color),
         fill_color=_color(make, color, 0.0),
-        thickness=float(thickness),
+        thickness=thickness,
     )
 
 

@@ -8,7 +8,7 @@ nodes and for replay alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from imgu_ros.messages.annotations import annotations_message
@@ -175,25 +175,24 @@ def _map_path(context: OutputContext) -> Any | None:
     return _continued_path(context, context.frame.camera_from_map, context.frame.parameters.frames.map)
 
 
-def _annotations(context: OutputContext) -> Any:
-    """Without anything to draw when nothing was found: what was drawn before goes."""
-    frame = context.frame
-    return annotations_message(frame.make, frame.header, frame.result)
+def _of_result(message: Callable[[MessageFactory, Header, Result], Any]) -> Callable[[OutputContext], Any | None]:
+    """Return the function of a row whose message is of the whole result, also when nothing was found."""
+
+    def made(context: OutputContext) -> Any | None:
+        frame = context.frame
+        return None if frame.result.reason else message(frame.make, frame.header, frame.result)
+
+    return made
 
 
-def _detections(context: OutputContext) -> Any:
-    frame = context.frame
-    return detections_message(frame.make, frame.header, frame.result)
-
-
-def _markers(context: OutputContext) -> Any:
-    frame = context.frame
-    return markers_message(frame.make, frame.header, frame.result)
+_annotations = _of_result(annotations_message)
+_detections = _of_result(detections_message)
+_markers = _of_result(markers_message)
 
 
 def _camera_info(context: OutputContext) -> Any | None:
     frame, camera = context.frame, context.frame.result.frame.camera
-    return None if camera is None else camera_info_message(frame.make, frame.header, camera)
+    return None if frame.result.reason or camera is None else camera_info_message(frame.make, frame.header, camera)
 
 
 def _continued_path(context: OutputContext, pose: Pose | None, frame_name: str) -> Any | None:
@@ -212,8 +211,6 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 _PATH = "nav_msgs/msg/Path"
 _ANNOTATIONS = "foxglove_msgs/msg/ImageAnnotations"
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
-#: The camera that was used. A live node has it unless it is a topic that the node reads.
-CAMERA_INFO = "camera_info"
 
 #: Every output topic but /tf, which depends on the other transforms there (`ros/outputs.py`). A new output is one row.
 OUTPUTS: tuple[OutputTopic, ...] = (
@@ -228,7 +225,8 @@ OUTPUTS: tuple[OutputTopic, ...] = (
     OutputTopic("annotations", _ANNOTATIONS, _annotations, recording=Recording.ALWAYS, is_optional=True),
     OutputTopic("detections", _DETECTIONS, _detections, recording=Recording.ALWAYS, is_optional=True),
     OutputTopic("markers", "visualization_msgs/msg/MarkerArray", _markers, recording=Recording.ALWAYS),
-    OutputTopic(CAMERA_INFO, "sensor_msgs/msg/CameraInfo", _camera_info, recording=Recording.ALWAYS),
+    # The camera that was used. A live node has it unless it is a topic that the node reads.
+    OutputTopic("camera_info", "sensor_msgs/msg/CameraInfo", _camera_info, recording=Recording.ALWAYS),
     OutputTopic("keypoints", _CLOUD, _keypoints, needs_keypoints=True),
     OutputTopic("matches", _CLOUD, _matches),
     OutputTopic("image_color", _IMAGE, _color),

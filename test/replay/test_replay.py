@@ -137,6 +137,7 @@ def test_results_bag_says_the_same_to_the_last_digit(clean: Path) -> None:
         images = [m.message for m in results.messages(["/debug_image"])]
     expected = {"homography", "status", "outline", "pose", "odom", "keypoints", "debug_image"}
     expected |= {f"targets/poster/{name}" for name in ("outline", "pose", "odom")}
+    expected |= {"annotations", "detections", "markers", "camera_info", "tf"}
     assert {name: count for name, count in topics.items() if "path" not in name} == {f"/{n}": FRAMES for n in expected}
     assert topics["/path"] == topics["/targets/poster/path"] == 1
     for row, message in zip(got, poses, strict=True):

@@ -103,6 +103,9 @@ class FakeNode:
     def destroy_subscription(self, topic: str) -> None:
         del self.callbacks[topic]
 
+    def resolve_topic_name(self, topic: str) -> str:
+        return topic if topic.startswith("/") else f"/{topic}"
+
     def get_logger(self) -> FakeNode:
         return self
 
@@ -400,3 +403,49 @@ def test_a_path_keeps_its_latest_poses_when_its_length_changes(tf2_msgs: None, s
     out.publish(result(6 * SECOND))
     stamps = [pose.header.stamp.sec for pose in node.publishers["path"].sent[-1].poses]
     assert stamps == [4, 5, 6]
+
+
+def test_topics_of_packages_that_are_not_installed_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    node = FakeNode()
+    Outputs(node, ["poster"], OutputParameters.of(parameters_from({})))
+    assert {"markers", "pose", "camera_info"} <= node.publishers.keys()
+    assert not {"annotations", "detections"} & node.publishers.keys()
+
+
+def test_annotations_go_out_where_their_package_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = {
+        "ImageAnnotations": {"circles": "sequence<x>", "points": "sequence<x>", "texts": "sequence<x>"},
+        "Color": dict.fromkeys("rgba", "double"),
+        "Point2": dict.fromkeys("xy", "double"),
+    }
+    module = ModuleType("foxglove_msgs.msg")
+    for name, fields in kinds.items():
+        setattr(module, name, _message_type(name, fields))
+    monkeypatch.setitem(sys.modules, "foxglove_msgs", ModuleType("foxglove_msgs"))
+    monkeypatch.setitem(sys.modules, "foxglove_msgs.msg", module)
+    message_class.cache_clear()
+    _fields.cache_clear()
+    try:
+        node = FakeNode("annotations")
+        published = Outputs(node, ["poster"], OutputParameters.of(parameters_from({})))
+        published.publish(result(seen=()))
+        (message,) = node.publishers["annotations"].sent
+        assert (message.points, message.texts) == ([], []), "what was drawn before goes"
+    finally:
+        message_class.cache_clear()
+        _fields.cache_clear()
+
+
+def _message_type(name: str, fields: dict[str, str]) -> type:
+    def init(self: Any, **values: Any) -> None:
+        vars(self).update(values)
+
+    return type(name, (), {"__init__": init, "get_fields_and_field_types": classmethod(lambda cls: fields)})
+
+
+def test_camera_info_is_not_published_where_the_node_reads_it() -> None:
+    parameters = OutputParameters.of(parameters_from({}))
+    for taken, is_there in ((["/camera_info"], False), (["/cam/camera_info"], True)):
+        node = FakeNode()
+        Outputs(node, ["poster"], parameters, taken=taken)
+        assert ("camera_info" in node.publishers) is is_there
