@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from imgu_ros.errors import (
@@ -20,6 +21,13 @@ NOT_DUE = "not looked for in this frame, while others are in view (tracking.sear
 UNLIKELY = f"{NOT_IN_VIEW} (fewer of its keypoints than of other targets)"
 NO_CAMERA_INFO = "no calibration: there is no camera_info"
 NO_SIZE = "its printed width is not known, need targets.widths_m (0 for this target)"
+
+_A_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
+
+
+def reason_kind(reason: str) -> str:
+    """Return what reasons that differ only in their numbers have in common."""
+    return _A_NUMBER.sub("0", reason)
 
 
 def why_not_found(error: EstimationError, matches: int, agreeing: int, needed: int) -> str:

@@ -65,6 +65,7 @@ def _demo(arguments: argparse.Namespace) -> int:
             parameters,
             truth=bag / TRUTH_FILE,
             overwrite=True,
+            command=arguments.command_line,
             on_progress=progress,
             on_warning=lambda text: progress.say(f"imgu: warning: {text}"),
         )

@@ -8,6 +8,7 @@ import contextlib
 import errno
 import importlib
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Sequence
@@ -135,6 +136,7 @@ def _run(arguments: list[str]) -> int:
             allow_abbrev=False,
         )
         module.add_arguments(parser)
+        parser.set_defaults(command_line=shlex.join(["imgu", *arguments]))
         return _parsed_and_run(module, parser, arguments[1:])
     return _top_level(arguments)
 

@@ -71,6 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
             record=arguments.record,
             overwrite=arguments.overwrite,
             rate_hz=arguments.rate,
+            command=arguments.command_line,
             on_progress=progress,
             on_warning=lambda text: progress.say(f"imgu: warning: {text}"),
         )

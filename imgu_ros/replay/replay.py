@@ -30,6 +30,7 @@ from imgu_ros.replay.result_sink import ResultSink, result_sink
 from imgu_ros.replay.results_bag import checked_record
 from imgu_ros.replay.statistics import FinishedReplay, ReplayStatistics
 from imgu_ros.report.summary import Source, Summary
+from imgu_ros.report.target_cards import target_cards
 from imgu_ros.simulate.truth import read_truth
 from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.threads import one_processor_left_over, quick_thread_switches
@@ -47,6 +48,7 @@ def replay(
     record: Sequence[str] = (),
     overwrite: bool = False,
     rate_hz: float = 0.0,
+    command: str = "",
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
     on_warning: Callable[[str], None] = lambda text: None,
 ) -> Summary:
@@ -64,6 +66,7 @@ def replay(
     record : outputs to write into the results bag beside those that always are
     overwrite : replace the files of an earlier replay in `out`; nothing else is ever removed
     rate_hz : pictures a second, where their names or Exif should not tell, see `open_bag`
+    command : that asks for this replay, for the report; empty: none
     on_progress : called after each frame with the number of frames done and, when it is known, of all
     on_warning : called once for each warning
 
@@ -74,7 +77,7 @@ def replay(
     BagError
         If the bag cannot be read, has no image topic, or not one frame in it could be decoded.
     """
-    recorded = checked_record(record)
+    recorded, date = checked_record(record), time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
     truths = () if truth is None else read_truth(truth)
     check_output_folder(out, replay_contents(()), overwrite=overwrite, inputs=bags)
     warnings = _UniqueWarnings(on_warning)
@@ -82,11 +85,11 @@ def replay(
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits, rate_hz=rate_hz))
         if not parameters.targets.images:
             raise ParameterError("targets.images: none; need at least one image file, -p targets.images:=FILE")
-        targets = prepare_references(
-            load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits),
-            parameters,
-        )
-        warnings.add(tuple(load_remarks(targets, parameters.raw.transfer != "srgb").values()))
+        images = load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits)
+        targets = prepare_references(images, parameters)
+        remarks = load_remarks(targets, parameters.raw.transfer != "srgb")
+        warnings.add(tuple(remarks.values()))
+        cards = target_cards(images, parameters.targets.images, remarks)
         warnings.add(bag.warnings)
         source = FrameSource(bag, RecordedFramesParameters.of(parameters))
         warnings.add(bag.warnings, source.warnings)
@@ -129,7 +132,9 @@ def replay(
         )
         sizes = {name: target.size for target in targets for name in target.names}
         summary = sink.report(
-            FinishedReplay(folder, statistics, described, truths, sizes, parameters, warnings.listed())
+            FinishedReplay(
+                folder, statistics, described, truths, sizes, parameters, warnings.listed(), cards, command, date
+            )
         )
     warnings.add(summary.warnings)
     if statistics.rejected == statistics.frames:

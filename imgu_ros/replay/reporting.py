@@ -43,7 +43,7 @@ def write_summary_and_report(replayed: FinishedReplay, samples: Sequence[Annotat
             f"{replayed.source.truth}: has no stamp and target of this bag (its targets: {names}); no errors known"
         )
     summary = _summary(table, replayed, tuple(warnings))
-    write_report(out / REPORT, table, summary, samples)
+    write_report(out / REPORT, table, summary, samples, replayed.cards)
     replayed.folder.sync(replay_contents(sorted(replayed.sizes)).files)
     write_summary(out / SUMMARY, summary)
     return summary
@@ -67,4 +67,6 @@ def _summary(table: FrameTable, replayed: FinishedReplay, warnings: tuple[str, .
         seed=replayed.parameters.seed,
         parameters=parameter_values(replayed.parameters),
         calibration=statistics.calibration,
+        command=replayed.command,
+        date=replayed.date,
     )

@@ -3,21 +3,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.files.pose_files import RisingStamps
 from imgu_ros.frame import Frame
+from imgu_ros.reasons import reason_kind
 from imgu_ros.replay.output_folder import RunFolder
 from imgu_ros.report.summary import Reason, Source
+from imgu_ros.report.target_cards import TargetCard
 from imgu_ros.result import CalibrationFinding, Result, Status
 from imgu_ros.simulate.truth import Truth
 from imgu_ros.vision.camera.intrinsics import Camera
 
 _MOST_REASONS = 100
-_NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 
 
 class ReasonCounts:
@@ -29,7 +29,7 @@ class ReasonCounts:
 
     def add(self, status: str, reason: str) -> bool:
         """Count one case; return whether it is the first of its kind."""
-        key = (status, _NUMBER.sub("0", reason))
+        key = (status, reason_kind(reason))
         if key not in self._first and len(self._first) >= _MOST_REASONS:
             key, reason = (status, ""), "other reasons"
         is_new = key not in self._first
@@ -119,6 +119,9 @@ class FinishedReplay:
     sizes : width and height of each target, px
     parameters : of the replay
     warnings : all so far
+    cards : what the report shows of the targets
+    command : that was run; empty: none
+    date : when the replay began
     """
 
     folder: RunFolder
@@ -128,3 +131,6 @@ class FinishedReplay:
     sizes: Mapping[str, tuple[int, int]]
     parameters: Parameters
     warnings: tuple[str, ...]
+    cards: tuple[TargetCard, ...]
+    command: str
+    date: str

@@ -3,18 +3,23 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from imgu_ros.check.accuracy import TILT_DEG
 from imgu_ros.check.finding import DEPENDABLE_SHARE
 from imgu_ros.check.listing import camera_words, farthest, length, small_length
 from imgu_ros.check.verdict import DEPENDABLE, SCORE_PX, TargetCheck
 from imgu_ros.file_access.text_files import write_text
+from imgu_ros.files.plot_style import plot_style
 from imgu_ros.report.check_pictures import (
     detail_picture,
     far_picture,
@@ -23,12 +28,22 @@ from imgu_ros.report.check_pictures import (
     plot_found,
     telling_picture,
 )
-from imgu_ros.report.html import Picture, data_uri, page_environment, plotted
+from imgu_ros.report.html import data_uri, page_environment
 from imgu_ros.types import Image
 from imgu_ros.vision.camera.intrinsics import Camera
 
 #: Where a target is not found dependably at any size, it is shown this large, longer side, px.
 _SHOWN_PX = 120.0
+_DPI = 150
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture in the page: data URI and the words beside it."""
+
+    uri: Markup
+    title: str
+    caption: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +132,11 @@ def _pictures(check: TargetCheck) -> Iterator[Picture]:
 def _plots(check: TargetCheck) -> Iterator[Picture]:
     if check.curve is None:
         return
-    yield plotted(plot_found(check), "How small it may be", "Simulated views of every size, tilt and roll.")
+    yield _plotted(plot_found(check), "How small it may be", "Simulated views of every size, tilt and roll.")
     accuracy = plot_accuracy(check)
     if accuracy is not None:
         caption = "One frame; without the errors of calibration and print. Dashed: as far as it is found."
-        yield plotted(accuracy, "How exact its pose will be", caption)
+        yield _plotted(accuracy, "How exact its pose will be", caption)
 
 
 def _rows(check: TargetCheck) -> Iterator[tuple[str, ...]]:
@@ -139,3 +154,12 @@ def _rows(check: TargetCheck) -> Iterator[tuple[str, ...]]:
 def _png(picture: Image, title: str, caption: str) -> Picture:
     _, data = cv2.imencode(".png", np.ascontiguousarray(picture[:, :, ::-1]))
     return Picture(data_uri("image/png", data.tobytes()), title, caption)
+
+
+def _plotted(figure: Figure, title: str, caption: str) -> Picture:
+    buffer = io.BytesIO()
+    # Little is gained by compressing lines on white for longer.
+    compression: Any = {"compress_level": 3}
+    with plot_style({}):
+        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
+    return Picture(data_uri("image/png", buffer.getvalue()), title, caption)

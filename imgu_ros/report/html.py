@@ -1,51 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: one self-contained page about a replay."""
+"""`report.html`: one self-contained page about a replay, which runs no script but its own and asks no network."""
 
 from __future__ import annotations
 
 import base64
-import io
+import hashlib
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
 
 from imgu_ros.config.parameters import declarations
 from imgu_ros.file_access.text_files import write_text
-from imgu_ros.files.plot_style import plot_style
-from imgu_ros.report import plots
+from imgu_ros.report.curves import Curves, curves_of
 from imgu_ros.report.digits import figures
+from imgu_ros.report.overlay import STATUS_COLORS
 from imgu_ros.report.samples import AnnotatedFrame
 from imgu_ros.report.summary import Summary
 from imgu_ros.report.table import FrameTable
+from imgu_ros.report.target_cards import TargetCard
+from imgu_ros.report.trajectory import path_views
+from imgu_ros.result import Status
 from imgu_ros.shown_text import shown
+from imgu_ros.types import Floats
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_DPI = 150
-_MOST_TRAJECTORIES = 6
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture in the page: data URI and the words beside it."""
-
-    uri: Markup
-    title: str
-    caption: str
+#: Digits of a number in a curve, and decimals of seconds.
+_DIGITS, _DECIMALS = 4, 4
+#: The page's scripts, in order: the library of plots, and what is this page's own.
+_SCRIPTS = ("uPlot.iife.min.js", "report.js")
+_STYLES = ("uPlot.min.css", "report.css")
 
 
-def write_report(path: Path, table: FrameTable, summary: Summary, samples: Sequence[AnnotatedFrame]) -> None:
+def write_report(
+    path: Path,
+    table: FrameTable,
+    summary: Summary,
+    samples: Sequence[AnnotatedFrame],
+    cards: Sequence[TargetCard] = (),
+) -> None:
     """Write the report.
 
     Parameters
     ----------
     path : the HTML file, replaced when it exists
-    table, summary, samples : of one replay
+    table, summary, samples, cards : of one replay
 
     Raises
     ------
@@ -54,12 +57,29 @@ def write_report(path: Path, table: FrameTable, summary: Summary, samples: Seque
     """
     environment = page_environment()
     environment.filters["figures"] = figures
+    environment.filters["jpeg_uri"] = lambda jpeg: data_uri("image/jpeg", jpeg)
     defaults = {known.name: known.default for known in declarations()}
+    curves = curves_of(table)
+    truths = curves.true_paths or (None,) * len(curves.targets)
+    scripts = [_file(name) for name in _SCRIPTS]
     page = environment.get_template("report.html.j2").render(
         summary=summary,
-        figures=list(_figures(table)),
-        samples=[_sample_picture(sample, table) for sample in samples],
+        cards=cards,
+        found={target.name: target for target in summary.targets},
+        curves=curves,
+        views=[
+            view
+            for target, (way, truth) in enumerate(zip(curves.paths, truths, strict=True))
+            for view in path_views(target, way, truth)
+        ],
+        samples=samples,
+        data=page_data(curves, samples),
+        statuses=[(status.value, _hex(status)) for status in Status],
         changed={name: value for name, value in summary.parameters.items() if value != defaults.get(name)},
+        scripts=[Markup(script) for script in scripts],
+        hashes=Markup(" ".join(f"'sha256-{_sha256(script)}'" for script in scripts)),
+        licence=Markup(_file("uPlot.LICENSE")),
+        styles=Markup("\n".join(_file(name) for name in _STYLES)),
     )
     write_text(path, page)
 
@@ -76,47 +96,64 @@ def page_environment() -> jinja2.Environment:
     )
 
 
-def _figures(table: FrameTable) -> Iterator[Picture]:
-    if not len(table):
-        return
-    for index, name in enumerate(table.targets[:_MOST_TRAJECTORIES]):
-        trajectory = plots.plot_trajectory(table, index)
-        if trajectory is not None:
-            title = "Trajectory" if len(table.targets) == 1 else f"Trajectory before {name}"
-            yield plotted(
-                trajectory, title, "The camera in the target's frame: x right, y up, z out of the printed face."
-            )
-    errors = plots.plot_errors(table)
-    if errors is not None:
-        caption = "Against the truth file. Dashed: the error that the estimate's own covariance predicts (1σ)."
-        yield plotted(errors, "Errors over time", caption)
-    else:
-        precision = plots.plot_precision(table)
-        if precision is not None:
-            caption = "No truth file was given: this is what the estimates say of themselves, not their error."
-            yield plotted(precision, "Precision over time", caption)
-    yield plotted(plots.plot_status(table), "Status over time", "Each target's status; tentative matches and inliers.")
-    times = plots.plot_times(table)
-    if times is not None:
-        yield plotted(times, "Stage times", "Time in the pipeline, without reading and writing.")
+def page_data(curves: Curves, samples: Sequence[AnnotatedFrame]) -> dict[str, Any]:
+    """Return what the page's script works on, for JSON; text from outside is `shown`."""
+    return {
+        "targets": [shown(name) for name in curves.targets],
+        "bin": curves.bin_frames,
+        "x": [round(value, _DECIMALS) for value in curves.x.tolist()],
+        "xName": curves.x_name,
+        "frame": curves.frame.tolist(),
+        "plots": [
+            {
+                "title": plot.title,
+                "unit": plot.unit,
+                "curves": [
+                    {
+                        "target": curve.target,
+                        "label": curve.label,
+                        "predicted": curve.is_predicted,
+                        "values": list(_numbers(curve.values)),
+                    }
+                    for curve in plot.curves
+                ],
+            }
+            for plot in curves.plots
+        ],
+        "statuses": [{"name": status.value, "color": _hex(status)} for status in Status],
+        "runs": [[[run.first, run.last, run.status, run.reason] for run in runs] for runs in curves.runs],
+        "reasons": [shown(reason) for reason in curves.reasons],
+        "paths": [[list(_numbers(column)) for column in path.T] for path in curves.paths],
+        "samples": [
+            {"frame": sample.index, "jpeg": base64.b64encode(sample.jpeg).decode("ascii")} for sample in samples
+        ],
+    }
 
 
-def plotted(figure: Figure, title: str, caption: str) -> Picture:
-    """Return a figure as a picture of a page."""
-    buffer = io.BytesIO()
-    # Little is gained by compressing lines on white for longer.
-    compression: Any = {"compress_level": 3}
-    with plot_style({}):
-        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
-    return Picture(data_uri("image/png", buffer.getvalue()), title, caption)
-
-
-def _sample_picture(sample: AnnotatedFrame, table: FrameTable) -> Picture:
-    seconds = (sample.stamp_ns - int(table.stamp_ns.min())) / 1e9 if len(table) else 0.0
-    return Picture(data_uri("image/jpeg", sample.jpeg), f"frame {sample.index}, {seconds:.2f} s", sample.caption)
+def _numbers(values: Floats) -> Iterator[float | int | None]:
+    """Yield numbers with few digits, and None where there is none."""
+    for value in np.asarray(values, np.float64).tolist():
+        if not math.isfinite(value):
+            yield None
+            continue
+        rounded = float(f"{value:.{_DIGITS}g}")
+        yield int(rounded) if rounded.is_integer() and abs(rounded) < 1e9 else rounded
 
 
 def data_uri(media_type: str, data: bytes) -> Markup:
     """Return a data URI, which is not shortened."""
     # Ours, and not to be shortened.
     return Markup(f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}")
+
+
+def _file(name: str) -> str:
+    """Return a file of `templates/` that goes into the page as it is."""
+    return (resources.files("imgu_ros.report") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _sha256(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+
+
+def _hex(status: Status) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*STATUS_COLORS[status])

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A handful of annotated frames, spread over a replay of unknown length, in bounded memory."""
+"""Annotated frames, spread over a replay of unknown length, in bounded memory."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import cv2
-import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.report.overlay import draw_result
 from imgu_ros.result import Result
 from imgu_ros.types import Image
 
-_KEPT = 6
-_MISSES = 3
-_LONGEST_SIDE = 960
-_QUALITY = 85
+#: Frames that are spread evenly, at least; at most twice as many but one. Misses: the first frames without a find.
+_KEPT, _MISSES = 48, 8
+_LONGEST_SIDE, _QUALITY = 640, 75
+#: All pictures of a report together, bytes: as text in its page they take a third more.
+_MOST_BYTES = 2_400_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +28,7 @@ class AnnotatedFrame:
     index : the frame's number in the replay, from 0
     stamp_ns : its stamp
     caption : what became of the targets
-    jpeg : the picture, at most 960 px long
+    jpeg : the picture, at most 640 px long
     """
 
     index: int
@@ -38,10 +38,10 @@ class AnnotatedFrame:
 
 
 class SampleChoice:
-    """Which frames are kept while they pass by: evenly spread ones, and three in which nothing was found any more.
+    """Which frames are kept while they pass by: evenly spread ones, and some in which nothing was found any more.
 
     Every `stride`-th frame is kept; when twice as many as wanted are held, every other one is dropped and the stride
-    doubles. So n frames cost O(log n) drawings, and eleven when their number was known.
+    doubles. So n frames cost O(log n) drawings, and less than a hundred when their number was known.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class SampleChoice:
     def __init__(self, expected: int = 0) -> None:
         self.even: list[int] = []
         self.misses: list[int] = []
-        self._stride = max(1, (expected - 1) // (2 * _KEPT - 2))
+        self._stride = max(1, -(-expected // (2 * _KEPT - 1)))
         self._is_missing = False
         self._frames = 0
 
@@ -80,7 +80,7 @@ class SampleChoice:
 
 
 class Samples:
-    """Draws the frames that a `SampleChoice` of `expected` frames keeps, and of the even ones about six at the end."""
+    """Draws the frames that a `SampleChoice` of `expected` frames keeps."""
 
     def __init__(self, expected: int = 0) -> None:
         self._choice = SampleChoice(expected)
@@ -94,10 +94,11 @@ class Samples:
             self._kept = {number: sample for number, sample in self._kept.items() if number in wanted}
 
     def chosen(self) -> tuple[AnnotatedFrame, ...]:
-        """Return the kept samples in order of time."""
-        even = self._choice.even
-        places = np.linspace(0, len(even) - 1, min(_KEPT, len(even)))
-        return tuple(self._kept[index] for index in sorted({*(even[round(p)] for p in places), *self._choice.misses}))
+        """Return the kept samples in order of time, fewer of the even ones where their pictures are large."""
+        even, misses = list(self._choice.even), self._choice.misses
+        while len(even) > 1 and sum(len(self._kept[index].jpeg) for index in {*even, *misses}) > _MOST_BYTES:
+            even = even[::2]
+        return tuple(self._kept[index] for index in sorted({*even, *misses}))
 
 
 def _sample(index: int, result: Result) -> AnnotatedFrame:

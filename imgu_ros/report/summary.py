@@ -91,7 +91,8 @@ class Summary:
 
     `frames` is the number of input frames, `rejected` of which could not be read. `rate_in_hz` is the rate of the
     stamps; `frames_per_s` that of the whole replay on this machine, reading and writing included. `calibration` is
-    what the pictures said of camera_info in the end; None without poses.
+    what the pictures said of camera_info in the end; None without poses. `command` and `date`: what was run, empty when
+    it was no command, and when.
     """
 
     frames: int
@@ -109,6 +110,8 @@ class Summary:
     seed: ParameterValue
     parameters: Mapping[str, ParameterValue]
     calibration: CalibrationFinding | None = None
+    command: str = ""
+    date: str = ""
 
 
 def write_summary(path: Path, summary: Summary) -> None:

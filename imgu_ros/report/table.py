@@ -13,6 +13,7 @@ import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import C_COLUMNS, H_COLUMNS, Q_COLUMNS, T_COLUMNS, TIME_COLUMNS, read_rows
+from imgu_ros.reasons import reason_kind
 from imgu_ros.report.accuracy import RowErrors, TruthComparison, camera_position
 from imgu_ros.result import PoseStatus, Stage, Status
 from imgu_ros.types import Floats, Indices, Mask
@@ -29,8 +30,11 @@ class FrameTable:
     stamp_ns : (R,) int64
     targets : the targets' names, in order of appearance
     target : (R,) index into `targets`
+    frame : (R,) number of the frame in the file, from 0
     status, pose_status : (R,) index into `list(Status)` and `list(PoseStatus)`
-    n_keypoints, n_matches, n_inliers, rms_px, ambiguity : (R,)
+    reason : (R,) index into `reasons`
+    reasons : why something is missing, each kind once with the numbers of its first case; the first is empty
+    n_keypoints, n_matches, n_inliers, rms_px, ambiguity, confirmed_share : (R,)
     position : (R, 3) of the camera in the target's frame, m
     distance : (R,) from the camera to the target's centre, m
     sigma_t, sigma_r : (R,) square root of the trace of the position's (m) and the rotation's (rad) covariance
@@ -42,13 +46,17 @@ class FrameTable:
     stamp_ns: Indices
     targets: tuple[str, ...]
     target: Indices
+    frame: Indices
     status: Indices
     pose_status: Indices
+    reason: Indices
+    reasons: tuple[str, ...]
     n_keypoints: Floats
     n_matches: Floats
     n_inliers: Floats
     rms_px: Floats
     ambiguity: Floats
+    confirmed_share: Floats
     position: Floats
     distance: Floats
     sigma_t: Floats
@@ -101,7 +109,7 @@ class ErrorColumns:
 def read_frame_table(path: Path, comparison: TruthComparison | None = None) -> FrameTable:
     """Read a `frames.csv`, and compare every row with the truth when there is one.
 
-    Memory: about 250 bytes a row.
+    Memory: about 280 bytes a row.
 
     Raises
     ------
@@ -110,9 +118,11 @@ def read_frame_table(path: Path, comparison: TruthComparison | None = None) -> F
     """
     statuses = {status.value: i for i, status in enumerate(Status)}
     pose_statuses = {status.value: i for i, status in enumerate(PoseStatus)}
-    integers: dict[str, array[int]] = {name: array("q") for name in ("stamp", "target", "status", "pose_status")}
+    integers: dict[str, array[int]] = {name: array("q") for name in _INTEGERS}
     scalars, errors = array("d"), array("d")
     names: dict[str, int] = {}
+    reasons = _Reasons()
+    of_frame: set[str] = set()
     for number, row in enumerate(read_rows(path), 1):
         try:
             integers["stamp"].append(int(row["stamp_ns"]))
@@ -122,30 +132,65 @@ def read_frame_table(path: Path, comparison: TruthComparison | None = None) -> F
         except (KeyError, ValueError, OverflowError) as error:
             raise FileError(f"{path}: row {number}: {str(error)[:80]}; need what a replay writes") from None
         integers["target"].append(names.setdefault(row["target"], len(names)))
+        integers["reason"].append(reasons.number(row["reason"]))
+        # Every frame has a row for each target: the second one of the same target is of the next frame.
+        stamps, frames = integers["stamp"], integers["frame"]
+        is_next = row["target"] in of_frame or (number > 1 and stamps[-1] != stamps[-2])
+        frames.append(0 if number == 1 else frames[-1] + is_next)
+        if is_next:
+            of_frame.clear()
+        of_frame.add(row["target"])
         if comparison is not None:
             errors.extend(_error_scalars(comparison, row))
-    return _table(integers, scalars, errors if comparison is not None else None, tuple(names))
+    return _table(integers, scalars, errors if comparison is not None else None, tuple(names), tuple(reasons.texts))
 
 
-_SIMPLE = ("n_keypoints", "n_matches", "n_inliers", "rms_px", "ambiguity")
+class _Reasons:
+    """Numbers reasons; those that differ only in their numbers are one, and what is too many is the last."""
+
+    def __init__(self) -> None:
+        self.texts = [""]
+        self._numbers = {"": 0}
+
+    def number(self, reason: str) -> int:
+        kind = reason_kind(reason)
+        if kind not in self._numbers:
+            if len(self.texts) > _MOST_REASONS:
+                return _MOST_REASONS
+            self._numbers[kind] = len(self.texts)
+            self.texts.append("other reasons" if len(self.texts) == _MOST_REASONS else reason)
+        return self._numbers[kind]
+
+
+_MOST_REASONS = 100
+_INTEGERS = ("stamp", "target", "frame", "status", "pose_status", "reason")
+_SIMPLE = ("n_keypoints", "n_matches", "n_inliers", "rms_px", "ambiguity", "confirmed_share")
 _N_SCALARS = len(_SIMPLE) + 3 + 1 + 2 + 1 + len(Stage)
 _N_ERRORS = 4 + 3
 
 
 def _table(
-    integers: Mapping[str, array[int]], scalars: array[float], errors: array[float] | None, targets: tuple[str, ...]
+    integers: Mapping[str, array[int]],
+    scalars: array[float],
+    errors: array[float] | None,
+    targets: tuple[str, ...],
+    reasons: tuple[str, ...],
 ) -> FrameTable:
     values = np.array(scalars).reshape(-1, _N_SCALARS)
     columns: dict[str, Any] = {name: values[:, i] for i, name in enumerate(_SIMPLE)}
-    columns["position"], columns["distance"] = values[:, 5:8], values[:, 8]
-    columns["sigma_t"], columns["sigma_r"] = values[:, 9], values[:, 10]
-    columns["total_ms"], columns["stage_ms"] = values[:, 11], values[:, 12:]
+    others = values[:, len(_SIMPLE) :]
+    columns["position"], columns["distance"] = others[:, :3], others[:, 3]
+    columns["sigma_t"], columns["sigma_r"] = others[:, 4], others[:, 5]
+    columns["total_ms"], columns["stage_ms"] = others[:, 6], others[:, 7:]
     return FrameTable(
         stamp_ns=np.array(integers["stamp"], np.int64),
         targets=targets,
         target=np.array(integers["target"], np.intp),
+        frame=np.array(integers["frame"], np.intp),
         status=np.array(integers["status"], np.intp),
         pose_status=np.array(integers["pose_status"], np.intp),
+        reason=np.array(integers["reason"], np.intp),
+        reasons=reasons,
         errors=None if errors is None else _error_columns(np.array(errors).reshape(-1, _N_ERRORS)),
         **columns,
     )

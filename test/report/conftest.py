@@ -96,6 +96,6 @@ def _target(
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_result() -> Callable[..., Result]:
     return _result
