@@ -116,7 +116,9 @@ def curves_of(table: FrameTable) -> Curves:
         if known:
             plots.append(Plot(title, unit, note, known))
     if len(table) and not np.isnan(table.total_ms).all():
-        total = Curve(None, "whole frame", bins.extremes(over_frames(table.total_ms, 0)))
+        of_frame = np.full(frames, np.nan)
+        of_frame[table.frame] = table.total_ms
+        total = Curve(None, "whole frame", bins.extremes(of_frame))
         plots.append(Plot("Time in the pipeline", "ms", "Of the whole frame, without reading and writing.", (total,)))
     seconds, x_name = _places(table, frames)
     errors = table.errors

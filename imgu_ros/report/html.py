@@ -17,9 +17,9 @@ from markupsafe import Markup
 
 from imgu_ros.config.parameters import declarations
 from imgu_ros.file_access.text_files import write_text
+from imgu_ros.messages.annotations import STATUS_COLORS
 from imgu_ros.report.curves import Curves, curves_of
 from imgu_ros.report.digits import figures
-from imgu_ros.report.overlay import STATUS_COLORS
 from imgu_ros.report.samples import AnnotatedFrame
 from imgu_ros.report.summary import Summary
 from imgu_ros.report.table import FrameTable

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from chromium import SOFTWARE_WEBGL
 
-from imgu_ros.report.overlay import STATUS_COLORS
+from imgu_ros.messages.annotations import STATUS_COLORS
 from imgu_ros.result import Status
 
 if TYPE_CHECKING:
