@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.serde import SerdeError
 
-from imgu_ros.bags.messages import typestore
+from imgu_ros.bags.messages import message_layout, typestore
 from imgu_ros.bags.storage import MAX_TIME_NS
 from imgu_ros.errors import BagError
 
@@ -109,6 +109,20 @@ class BagWriter:
         for name in (topic, *also):
             with _bag_errors(self.path, name):
                 self._writer.write(self._connection(name, type_name), int(time_ns), data)
+
+    def copy(self, topic: str, type_name: str, data: bytes | memoryview, time_ns: int) -> None:
+        """Append a message that is serialised already (CDR with its encapsulation), of one of our types.
+
+        Raises
+        ------
+        BagError
+            As `write`; if there is no such type.
+        """
+        if not 0 <= time_ns < MAX_TIME_NS:
+            raise BagError(f"{topic}: time {time_ns} ns; need 0 to {MAX_TIME_NS - 1}")
+        message_layout(type_name)
+        with _bag_errors(self.path, topic):
+            self._writer.write(self._connection(topic, type_name), int(time_ns), data)
 
     def _connection(self, topic: str, type_name: str) -> Connection:
         connection = self._connections.get(topic)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look at the results of a replay in the Rerun viewer: pictures, outlines, the camera's path, curves over time.
+"""Look at the results of a replay in the Rerun viewer, or in Foxglove: pictures, outlines, the camera's path, curves.
 
-Writes RESULTS/view.rrd, which `rerun` opens. Pictures come from the recording that was replayed; neither it nor the
-results are changed. Needs the `view` extra.
+Writes RESULTS/view.rrd, which `rerun` opens; with --foxglove RESULTS/view.mcap, for Foxglove. Pictures come from
+the recording that was replayed; neither it nor the results are changed. Rerun needs the `view` extra.
 """
 
 from __future__ import annotations
@@ -27,24 +27,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recording", nargs="+", type=Path, default=[], metavar="PATH",
         help="the recording that was replayed (default: where it was then)",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="FILE", help="file to write (default: RESULTS/view.rrd)")
     parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="file to write (default: RESULTS/view.rrd or RESULTS/view.mcap)"
+    )
+    viewer = parser.add_mutually_exclusive_group()
+    viewer.add_argument(
         "--web", action="store_true", help="then serve Rerun's web viewer on this machine, until Ctrl-C"
     )
+    viewer.add_argument(
+        "--foxglove", action="store_true",
+        help="write an .mcap for Foxglove instead: image topic and camera_info of the recording, and all results",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the file, and say what opens it or serve it."""
-    from imgu_ros.errors import FileError
-
-    if importlib.util.find_spec("rerun") is None:
-        need = """the view extra: pip install ".[view]" in imgu_ros's source folder"""
-        raise FileError(f"rerun: not installed; need {need}")
     from imgu_ros.cli.progress import Progress
-    from imgu_ros.view.view import view_with_rerun
+    from imgu_ros.errors import FileError
+    from imgu_ros.view.view import view_with_foxglove, view_with_rerun
 
+    if not arguments.foxglove and importlib.util.find_spec("rerun") is None:
+        need = """the view extra: pip install ".[view]" in imgu_ros's source folder (or --foxglove, without it)"""
+        raise FileError(f"rerun: not installed; need {need}")
+    write = view_with_foxglove if arguments.foxglove else view_with_rerun
     with Progress("view") as progress:
-        path = view_with_rerun(
+        path = write(
             arguments.results,
             arguments.out,
             arguments.recording,
@@ -54,7 +61,10 @@ def run(arguments: argparse.Namespace) -> int:
     say(path, flush=True)
     if arguments.web:
         return _serve(path)
-    say(f"open it with: rerun {path}", f"or in a browser: imgu view {arguments.results} --web")
+    if arguments.foxglove:
+        say("open it in Foxglove, with the layout config/perception.foxglove.json")
+    else:
+        say(f"open it with: rerun {path}", f"or in a browser: imgu view {arguments.results} --web")
     return 0
 
 

@@ -19,14 +19,18 @@ import rerun as rr
 from imgu_ros.errors import FileError
 from imgu_ros.file_access.atomic_files import file_errors, part_path
 from imgu_ros.messages.annotations import STATUS_COLORS
+from imgu_ros.report.samples import jpeg_of
 from imgu_ros.result import Status
 from imgu_ros.shown_text import shown
 from imgu_ros.types import Floats
-from imgu_ros.view.recorded_frames import FramePicture
+from imgu_ros.view.recorded_frames import ScreenFrame
 from imgu_ros.view.rerun_layout import IMAGE, OVERLAY, PLOTS, SPACE, STATES, blueprint
 from imgu_ros.view.results_folder import ReplayResults, SeenFrame, SeenTarget
+from imgu_ros.vision.camera.intrinsics import Camera
 from imgu_ros.vision.camera.rotation import quaternion
 
+#: Longest side of a picture, px, and its quality: a frame takes about 100 kB.
+_LONGEST_SIDE, _QUALITY = 1280, 80
 #: Of lines and points over pictures; Rerun's negative radii are in points of the screen, whatever the zoom.
 _LINE_RADIUS = -1.5
 _KEYPOINT_COLOR = (255, 230, 60)
@@ -45,7 +49,7 @@ def write_rerun(
     path: Path,
     results: ReplayResults,
     frames: Iterable[SeenFrame],
-    pictures: Iterator[FramePicture],
+    pictures: Iterator[ScreenFrame],
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
 ) -> None:
     """Write a Rerun recording (.rrd).
@@ -96,7 +100,7 @@ class _Writer:
     def write(
         self,
         frames: Iterable[SeenFrame],
-        pictures: Iterator[FramePicture],
+        pictures: Iterator[ScreenFrame],
         on_progress: Callable[[int, int | None], None],
     ) -> None:
         log = self._stream.log
@@ -109,9 +113,9 @@ class _Writer:
             self._stream.set_time("frame", sequence=index)
             self._stream.set_time("time", timestamp=np.datetime64(frame.stamp_ns, "ns"))
             picture = next(pictures, None)
-            if picture is not None and picture.stamp_ns != frame.stamp_ns:
+            if picture is not None and picture.frame.stamp_ns != frame.stamp_ns:
                 raise FileError(
-                    f"recording: frame {index} is of {picture.stamp_ns} ns, the replay's of {frame.stamp_ns} ns; "
+                    f"recording: frame {index} is of {picture.frame.stamp_ns} ns, the replay's of {frame.stamp_ns} ns; "
                     "need the recording that was replayed"
                 )
             self._write_picture(picture, frame)
@@ -122,38 +126,40 @@ class _Writer:
         for name in self._results.targets:
             self._write_way(name)
 
-    def _write_picture(self, picture: FramePicture | None, frame: SeenFrame) -> None:
-        if picture is None:
+    def _write_picture(self, seen: ScreenFrame | None, frame: SeenFrame) -> None:
+        if seen is None:
             return
-        if not picture.jpeg:
+        scale = 1.0
+        if seen.picture is None:
             self._stream.log(IMAGE, rr.Clear(recursive=False))
             self._pinhole = ()
         else:
-            self._stream.log(IMAGE, rr.EncodedImage(contents=picture.jpeg, media_type="image/jpeg"))
-            self._write_pinhole(picture, frame)
-        self._write_overlay(picture.scale, frame)
+            scale = min(1.0, _LONGEST_SIDE / max(seen.picture.shape))
+            jpeg = jpeg_of(seen.picture, _LONGEST_SIDE, _QUALITY)
+            self._stream.log(IMAGE, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+            height, width = seen.picture.shape[:2]
+            self._write_pinhole(seen.frame.camera, (width, height), scale, frame)
+        self._write_overlay(scale, frame)
 
-    def _write_pinhole(self, picture: FramePicture, frame: SeenFrame) -> None:
+    def _write_pinhole(self, camera: Camera | None, size: tuple[int, int], scale: float, frame: SeenFrame) -> None:
         """Give the camera's pyramid the colour of the first target's status: grey where its place is that of before."""
-        if picture.camera is None:
+        if camera is None:
             return
         main = next((t for t in frame.targets if t.name == self._results.targets[0]), None)
         has_pose = main is not None and main.pose is not None
         color = STATUS_COLORS[main.status] if main is not None and has_pose else _UNKNOWN_COLOR
         distance = float(np.linalg.norm(main.pose.t)) if main is not None and main.pose is not None else None
-        said = (picture.size, color, picture.camera)
-        if self._pinhole and self._pinhole[:2] == said[:2] and self._pinhole[2] is picture.camera:
+        if self._pinhole == (size, color, id(camera)):
             return
-        self._pinhole = said
-        K = picture.camera.K.copy()
+        self._pinhole = (size, color, id(camera))
+        K = camera.K.copy()
         K[:2, 2] += 0.5  # its pixels begin at integers, ours have their centres there
-        K[:2] *= picture.scale
-        size = [picture.scale * side for side in picture.size]
+        K[:2] *= scale
         self._stream.log(
             IMAGE,
             rr.Pinhole(
                 image_from_camera=K,
-                resolution=size,
+                resolution=[scale * side for side in size],
                 camera_xyz=rr.ViewCoordinates.RDF,
                 image_plane_distance=None if distance is None else _IMAGE_DISTANCE * distance,
                 color=color,
