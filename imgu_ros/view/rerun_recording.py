@@ -36,11 +36,16 @@ _LINE_RADIUS = -1.5
 _KEYPOINT_COLOR = (255, 230, 60)
 _PATH_COLOR = (0, 114, 178)
 _ELLIPSOID_COLOR = (230, 159, 0)
+#: Okabe & Ito 2008.
+_CURVE_COLORS = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0))
+_TARGET_COLOR = (120, 120, 120)
+#: Sine of the angle of a ray with the target's plane, below which it says nothing of where it meets it.
+_LEAST_SLANT = 0.02
 _UNKNOWN_COLOR = (130, 130, 130)
 #: Squared radius of the ellipsoid that holds 95 % of a normal distribution of three dimensions (its chi-square).
 _RADIUS_95 = 7.815**0.5
-#: Ellipsoids along the path are at most so many, and the longest is about this share of the path's extent.
-_MOST_ELLIPSOIDS, _SHOWN_SHARE = 100, 0.015
+#: Ellipsoids along the path are at most so many, and nine of ten are shorter than this share of the path's extent.
+_MOST_ELLIPSOIDS, _SHOWN_SHARE = 100, 0.06
 #: Of the camera's pyramid, as a share of the distance to the target.
 _IMAGE_DISTANCE = 0.25
 
@@ -96,6 +101,7 @@ class _Writer:
         self._ways: dict[str, list[tuple[int, Floats, Floats]]] = {name: [] for name in results.targets}
         self._states: dict[str, tuple[str, str]] = {}
         self._pinhole: tuple[object, ...] = ()
+        self._drawn: set[str] = set()
 
     def write(
         self,
@@ -105,10 +111,13 @@ class _Writer:
     ) -> None:
         log = self._stream.log
         log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-        for name in self._results.targets:
+        for place, name in enumerate(self._results.targets):
             colors = [STATUS_COLORS[status] for status in Status]
             values = [status.value for status in Status]
             log(f"{STATES}/{name}", rr.StateConfiguration(values=values, colors=colors), static=True)
+            color = _CURVE_COLORS[place % len(_CURVE_COLORS)]
+            for plot in ("residual", "confirmed", "distance"):
+                log(f"{PLOTS}/{plot}/{name}", rr.SeriesLines(colors=[color], names=[name], widths=[1.5]), static=True)
         for index, frame in enumerate(frames):
             self._stream.set_time("frame", sequence=index)
             self._stream.set_time("time", timestamp=np.datetime64(frame.stamp_ns, "ns"))
@@ -140,6 +149,7 @@ class _Writer:
             height, width = seen.picture.shape[:2]
             self._write_pinhole(seen.frame.camera, (width, height), scale, frame)
         self._write_overlay(scale, frame)
+        self._write_targets(seen.frame.camera, frame)
 
     def _write_pinhole(self, camera: Camera | None, size: tuple[int, int], scale: float, frame: SeenFrame) -> None:
         """Give the camera's pyramid the colour of the first target's status: grey where its place is that of before."""
@@ -165,6 +175,27 @@ class _Writer:
                 color=color,
             ),
         )
+
+    def _write_targets(self, camera: Camera | None, frame: SeenFrame) -> None:
+        """Draw each target once, where the rays of its outline meet its plane in the first frame with its pose."""
+        for target in frame.targets:
+            outline = frame.overlay.outlines.get(target.name)
+            if camera is None or target.pose is None or outline is None or target.name in self._drawn:
+                continue
+            normalized, valid = camera.undistort(outline)
+            rays = np.column_stack((normalized, np.ones(len(outline))))
+            R, t = target.pose.R, target.pose.t
+            slant = rays @ R[:, 2]
+            if not valid.all() or np.abs(slant).min() < _LEAST_SLANT:
+                continue
+            corners = (rays * (R[:, 2] @ t / slant)[:, None] - t) @ R
+            self._drawn.add(target.name)
+            strip = rr.LineStrips3D([np.vstack((corners, corners[:1]))], colors=[_TARGET_COLOR])
+            self._stream.log(f"{self._space_of(target.name)}/target", strip, static=True)
+
+    def _space_of(self, name: str) -> str:
+        """Return the entity of a target's frame: that of the first target is the world."""
+        return f"{SPACE}/{name}" if name == self._results.targets[0] else f"around/{name}"
 
     def _write_overlay(self, scale: float, frame: SeenFrame) -> None:
         statuses = {target.name: target.status for target in frame.targets}
@@ -214,7 +245,7 @@ class _Writer:
         numbers = np.array([number for number, _, _ in way])
         positions = np.array([position for _, position, _ in way])
         strips = np.split(positions, np.flatnonzero(np.diff(numbers) > 1) + 1)
-        log, entity = self._stream.log, f"{SPACE if name == self._results.targets[0] else 'around'}/{name}"
+        log, entity = self._stream.log, self._space_of(name)
         log(f"{entity}/path", rr.LineStrips3D(strips, colors=[_PATH_COLOR]), static=True)
         if entity.startswith("around"):
             log(entity, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
@@ -222,7 +253,7 @@ class _Writer:
         axes = [np.linalg.eigh(way[place][2]) for place in chosen]
         half_sizes = _RADIUS_95 * np.sqrt(np.maximum([values for values, _ in axes], 0))
         extent = float(np.ptp(positions, axis=0).max(initial=0)) or float(np.linalg.norm(positions[0]))
-        times = _magnification(extent, float(np.median(half_sizes.max(axis=1))))
+        times = _magnification(extent, float(np.percentile(half_sizes.max(axis=1), 90)))
         ellipsoids = rr.Ellipsoids3D(
             centers=positions[chosen],
             half_sizes=times * half_sizes,
@@ -233,10 +264,10 @@ class _Writer:
 
 
 def _magnification(extent: float, size: float) -> float:
-    """Return the power of ten by which ellipsoids of such a size are large enough to be seen on a path, at least 1."""
+    """Return the power of ten by which ellipsoids of such a size are seen on a path and do not hide it, at least 1."""
     if not size > 0 or not extent > 0:
         return 1.0
-    return float(max(1.0, 10.0 ** np.floor(np.log10(_SHOWN_SHARE * extent / size) + 0.5)))
+    return float(max(1.0, 10.0 ** np.floor(np.log10(_SHOWN_SHARE * extent / size))))
 
 
 def _quaternion(axes: Floats) -> Floats:

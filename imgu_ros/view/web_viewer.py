@@ -16,8 +16,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from imgu_ros.errors import FileError, ImguError
+from imgu_ros.view.page_server import HOST, page_server
 
-_HOST = "127.0.0.1"
 #: Longest wait for the server to listen, and to end.
 _PATIENCE_S = 20.0
 #: The server keeps what it serves in memory: this, and as much as the file has.
@@ -28,7 +28,7 @@ _PR_SET_PDEATHSIG = 1
 
 @contextlib.contextmanager
 def web_viewer(recording: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Serve a Rerun recording in Rerun's web viewer on 127.0.0.1.
+    """Serve a Rerun recording in Rerun's web viewer on 127.0.0.1, for a browser that then asks no other machine.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def web_viewer(recording: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]
     page, data = _free_ports(2)
     most = recording.stat().st_size + _MEMORY_BYTES
     command = [
-        str(_executable()), str(recording), "--serve-web", "--bind", _HOST, "--web-viewer-port", str(page),
+        str(_executable()), str(recording), "--serve-web", "--bind", HOST, "--web-viewer-port", str(page),
         "--port", str(data), "--server-memory-limit", f"{-(-most // 1_000_000)}MB", "--hide-welcome-screen",
     ]  # fmt: skip
     # Rerun's programs report their use to their makers unless they run in CI.
@@ -58,8 +58,9 @@ def web_viewer(recording: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]
     try:
         for port in (page, data):
             _wait_for(port, process)
-        source = quote(f"rerun+http://{_HOST}:{data}/proxy", safe="")
-        yield f"http://{_HOST}:{page}/?url={source}", process
+        source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
+        with page_server(page, data) as port:
+            yield f"http://{HOST}:{port}/?url={source}", process
     finally:
         process.send_signal(signal.SIGINT)
         try:
@@ -86,7 +87,7 @@ def _free_ports(count: int) -> list[int]:
     with contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for each in sockets:
-            each.bind((_HOST, 0))
+            each.bind((HOST, 0))
         return [each.getsockname()[1] for each in sockets]
 
 
@@ -95,7 +96,7 @@ def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
     while time.monotonic() < deadline:
         if process.poll() is not None:
             raise ImguError(f"rerun: its server ended with code {process.returncode}; need a working rerun-sdk")
-        with contextlib.suppress(OSError), socket.create_connection((_HOST, port), 1.0):
+        with contextlib.suppress(OSError), socket.create_connection((HOST, port), 1.0):
             return
         time.sleep(0.05)
     raise ImguError(f"rerun: its server does not listen within {_PATIENCE_S:g} s; need a working rerun-sdk")

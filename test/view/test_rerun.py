@@ -61,7 +61,8 @@ def test_pictures_outlines_keypoints_and_curves(replayed: tuple[Path, Path], rec
         assert len(recorded[f"/world/camera/image/results/{target}"]) == 8
         for name, column in (("residual", "rms_px"), ("confirmed", "confirmed_share")):
             rows = [row for row in read_rows(replayed[1] / "frames.csv") if row["target"] == target and row[column]]
-            curve = [values["Scalars:scalars"][0] for _, values in recorded[f"/plots/{name}/{target}"]]
+            points = recorded[f"/plots/{name}/{target}"]
+            curve = [values["Scalars:scalars"][0] for frame, values in points if frame is not None]
             assert curve == [float(row[column]) for row in rows]
     assert len(recorded["/world/camera/image/results/keypoints"]) == 8
 
@@ -86,6 +87,15 @@ def test_outline_is_where_the_pinhole_camera_projects_the_target(recorded: Recor
         corners = half * [[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]
         seen = (corners - camera["Transform3D:translation"][0]) @ R @ K.T
         assert np.abs(seen[:, :2] / seen[:, 2:] - drawn).max() < 0.1
+
+
+def test_targets_are_drawn_with_their_size(recorded: Recorded) -> None:
+    for entity in ("/world/results/poster/target", "/around/poster_2/target"):
+        ((_, drawn),) = recorded[entity]
+        corners = np.array(drawn["LineStrips3D:strips"][0])[:4]
+        assert np.allclose(
+            corners, 0.25 * np.array([[-1, 0.75, 0], [1, 0.75, 0], [1, -0.75, 0], [-1, -0.75, 0]]), atol=1e-3
+        )
 
 
 def test_ellipsoids_have_the_spread_of_the_covariance(replayed: tuple[Path, Path], recorded: Recorded) -> None:

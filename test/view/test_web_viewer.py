@@ -73,6 +73,14 @@ def test_viewer_shows_pictures_and_outlines(served: subprocess.Popen[str], chrom
     while not is_drawn(chromium.screenshot()):
         assert time.monotonic() < deadline, "the viewer does not show the recording"
         time.sleep(1.0)
+    # Nothing was fetched from elsewhere: the page's policy had the browser refuse it.
+    by_id = {}
+    for event in chromium.events:
+        if event["method"] == "Network.requestWillBeSent":
+            by_id[event["params"]["requestId"]] = event["params"]["request"]["url"]
+        elif event["method"] == "Network.loadingFailed" and event["params"].get("blockedReason") == "csp":
+            by_id.pop(event["params"]["requestId"], None)
+    assert {urlsplit(url).hostname for url in by_id.values() if url.startswith("http")} == {"127.0.0.1"}
 
 
 def is_drawn(page: np.ndarray) -> bool:
