@@ -54,6 +54,7 @@ setup(
         "PyYAML>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",
+        "shtab>=1.8",  # makes tab completion
         "tqdm>=4.66",
     ],
     extras_require={

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
+from imgu_ros.cli.completion import SHELLS, completion_script
 from imgu_ros.cli.terminal import Parser, fail, let_streams_print_everything, say, tell
 from imgu_ros.errors import ImguError, ParameterError, nearest_name
 from imgu_ros.shown_text import quoted
@@ -37,6 +38,7 @@ COMMANDS = {
     "check": "imgu_ros.cli.check",
     "calibrate": "imgu_ros.cli.calibrate",
     "params": "imgu_ros.cli.params",
+    "doctor": "imgu_ros.cli.doctor",
     "bench": "imgu_ros.cli.bench",
 }
 
@@ -157,6 +159,9 @@ def _top_level(arguments: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
+    parser.add_argument(
+        "--print-completion", choices=SHELLS, metavar="SHELL", help=f"print tab completion for {', '.join(SHELLS)}"
+    )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for name, module_name in COMMANDS.items():
         commands.add_parser(name, help=importlib.import_module(module_name).HELP)
@@ -168,6 +173,9 @@ def _top_level(arguments: list[str]) -> int:
         from imgu_ros.report.versions import package_version
 
         say(f"imgu_ros {package_version()}")
+        return OK
+    if parsed.print_completion:
+        say(*completion_script(parsed.print_completion, COMMANDS).split("\n"))
         return OK
     parser.print_help(sys.stderr)
     return USAGE
