@@ -35,6 +35,7 @@ DISTRIBUTIONS = {
     "PIL": ("pillow", "python3-pil"),
     # No key: a video says what to install.
     "av": ("av", ""),
+    "shtab": ("shtab", ""),
     "backports": ("backports-zstd", ""),
     "cv2": ("opencv-python-headless", "python3-opencv"),
     "jinja2": ("jinja2", "python3-jinja2"),
