@@ -72,7 +72,7 @@ def test_parameters_named_in_prose_exist(repository: Path, page: str) -> None:
     known = {d.name for d in declarations()}
     groups = {name.split(".")[0] for name in known if "." in name}
     for name in re.findall(r"`([a-z_]+\.[a-z_]+)(?::=[^`]*)?`", (repository / page).read_text()):
-        if name.split(".")[0] in groups and not name.endswith(".csv") and not _is_code(repository, name):
+        if name.split(".")[0] in groups and not name.endswith((".csv", ".yaml")) and not _is_code(repository, name):
             assert name in known, name
 
 
