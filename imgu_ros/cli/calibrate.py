@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Intrinsics and distortion from views of a chessboard, to a camera_info YAML as ROS writes it.
 
-Takes image files, folders of them, or a bag. --board counts inner corners: a board of 10 x 7 squares has 9x6. Hold it
-at different places, up to the corners of the picture, tilted by 20 to 50 degrees in different directions.
+Takes image files, folders of them, a video, or a bag. --board counts inner corners: a board of 10 x 7 squares has 9x6.
+Hold it at different places, up to the corners of the picture, tilted by 20 to 50 degrees in different directions.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ _LEAST_TILT_DEG = 15.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("input", nargs="+", type=Path, metavar="BAG_OR_IMAGES", help="a bag, images, folders of images")
+    parser.add_argument(
+        "input", nargs="+", type=Path, metavar="BAG_OR_IMAGES", help="a bag, a video, images, folders of images"
+    )
     parser.add_argument("--board", type=_board, required=True, metavar="9x6", help="inner corners along its sides")
     parser.add_argument("--square", type=_length, required=True, metavar="M", help="side of a square, m, as measured")
     parser.add_argument("--model", choices=_MODELS, default=_MODELS[0], help="lens distortion; default: %(default)s")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of long work: a bar on a terminal, a plain line now and then elsewhere; both on stderr."""
+"""Progress of long work on stderr: a bar on a terminal, else a plain line now and then, with rate and time left."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class Progress:
         self._on_terminal = sys.stderr.isatty()
         self._done = 0
         self._total: int | None = None
-        self._next_line_s = time.monotonic() + _LINE_EVERY_S
+        self._started_s = time.monotonic()
+        self._next_line_s = self._started_s + _LINE_EVERY_S
 
     def __enter__(self) -> Self:
         return self
@@ -41,7 +42,7 @@ class Progress:
         if self._bar is not None:
             self._bar.close()
         elif kind is None and self._done:
-            self._line()
+            self._line(is_end=True)
 
     def __call__(self, done: int, total: int | None) -> None:
         """Say that `done` of `total` units (None: how many is not known) are done."""
@@ -69,6 +70,9 @@ class Progress:
         if self._done == self._total:  # what follows is no part of the rate that the bar shows
             self._bar.close()
 
-    def _line(self) -> None:
+    def _line(self, is_end: bool = False) -> None:
         of_total = f" of {self._total}" if self._total else ""
-        tell(f"{self._label}: {self._done}{of_total} {self._unit}")
+        took_s = time.monotonic() - self._started_s
+        rate = self._done / took_s if took_s > 0 else 0.0
+        left = f", {(self._total - self._done) / rate:.0f} s left" if self._total and rate and not is_end else ""
+        tell(f"{self._label}: {self._done}{of_total} {self._unit}, {rate:.3g} a second{left}")

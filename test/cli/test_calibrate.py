@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -120,6 +121,23 @@ def test_a_bag_of_mosaics_with_still_stretches(
     assert read_camera_info(out).K[0, 0] == pytest.approx(420, rel=0.02)
     assert calibrate(bag, *OPTIONS, "--out", out, "--overwrite", "--topic", "/no") == 1
     assert "/no is not in the bag" in capsys.readouterr().err
+
+
+def test_a_video(pictures: Path, tmp_path: Path) -> None:
+    """Each view stays for a moment, as when the board is held by hand; the codec costs some of the accuracy."""
+    with av.open(str(tmp_path / "board.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "14"})
+        stream.width, stream.height, stream.pix_fmt = 640, 480, "yuv420p"
+        for path in sorted(pictures.iterdir()):
+            grey = read_image(path)
+            for _ in range(3):
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(np.dstack([grey] * 3), format="rgb24")))
+        container.mux(stream.encode())
+    assert calibrate(tmp_path / "board.mp4", *OPTIONS, "--out", tmp_path / "camera.yaml") == 0
+    found = read_camera_info(tmp_path / "camera.yaml")
+    assert found.covariance is not None
+    error = np.array([found.K[i] - CAMERA.K[i] for i in ((0, 0), (1, 1), (0, 2), (1, 2))])
+    assert error @ np.linalg.solve(found.covariance[:4, :4], error) < 40
 
 
 def write_bag(path: Path, greys: list[np.ndarray], repeated: int) -> None:

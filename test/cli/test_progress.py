@@ -24,7 +24,8 @@ def test_plain_lines_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytes
             progress(done, 24)
         progress.say("a word")
     lines = capsys.readouterr().err.splitlines()
-    assert lines == [*(f"replay: {n} of 24 frames" for n in (5, 10, 15, 20)), "a word", "replay: 24 of 24 frames"]
+    between = [f"replay: {n} of 24 frames, 1 a second, {24 - n} s left" for n in (5, 10, 15, 20)]
+    assert lines == [*between, "a word", "replay: 24 of 24 frames, 1 a second"]
 
 
 def test_nothing_more_after_an_error(capsys: pytest.CaptureFixture[str]) -> None:
