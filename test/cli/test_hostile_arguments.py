@@ -38,6 +38,7 @@ READS = (
     "replay {} --out OUT",
     "replay missing --truth {} --out OUT -p targets.images:=[good.png]",
     "replay missing --params-file {} --out OUT",
+    "view {} --foxglove",
     "match {} good.png",
     "match good.png {}",
     "match good.png good.png --camera-info {}",
