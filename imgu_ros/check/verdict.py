@@ -11,7 +11,7 @@ from imgu_ros.build_cache import BuildCache
 from imgu_ros.check.accuracy import ExpectedError, expected_errors
 from imgu_ros.check.finding import SIZES_PX, FindingCurve, finding_curve
 from imgu_ros.check.traits import Traits, traits_of
-from imgu_ros.check.trial_views import TrialViews
+from imgu_ros.check.trial_views import DEFAULT_CAMERA, TrialViews
 from imgu_ros.config.components import DetectionParameters
 from imgu_ros.config.parameters import Parameters, RawParameters
 from imgu_ros.detect.rivals import Rivals
@@ -140,9 +140,7 @@ def check_targets(
     camera : that shall see them
     notes : what loading said of each
     """
-    parameters = replace(
-        parameters, raw=RawParameters(significant_bits=_BITS, grey_weights=parameters.raw.grey_weights)
-    )
+    parameters = _for_trials(parameters)
     targets = [
         (part, entry, notes[index] if index < len(notes) else ())
         for index, (image, entry) in enumerate(zip(images, entries, strict=True))
@@ -162,6 +160,33 @@ def _parts_of(image: TargetImage) -> Sequence[TargetImage]:
     if isinstance(image, BundleImage):
         return image.parts
     return (image.first,) if isinstance(image, FamilyImage) else (image,)
+
+
+def target_scores(images: Sequence[TargetImage], parameters: Parameters) -> dict[str, int]:
+    """Return the score of each target by name, without all else that a check says; some seconds for each.
+
+    Parameters
+    ----------
+    images : as `load_target_images` returns them; things with markers on several planes are left out
+    parameters : of the pipeline
+    """
+    parameters = _for_trials(parameters)
+    known = [replace(image, width_m=image.width_m or 1.0) for image in images if not isinstance(image, BundleImage)]
+    scores = {}
+    for image, reference in zip(known, make_references(known, parameters, BuildCache()), strict=True):
+        try:
+            reference.require_detectable(parameters.homography.min_inliers)
+            views = TrialViews(reference, replace(image, width_m=reference.width_m), DEFAULT_CAMERA)
+            scores[image.name] = score_of(finding_curve(reference, views, parameters))
+        except ImguError:  # it cannot be used
+            scores[image.name] = 0
+    return scores
+
+
+def _for_trials(parameters: Parameters) -> Parameters:
+    """Return the parameters for simulated frames, which are not those of the user's camera."""
+    raw = RawParameters(significant_bits=_BITS, grey_weights=parameters.raw.grey_weights)
+    return replace(parameters, raw=raw)
 
 
 def _checked(

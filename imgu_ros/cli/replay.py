@@ -50,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also record these: keypoints, matches, path, image_color, image_mono, debug_image, ...",
     )  # fmt: skip
     parser.add_argument(
+        "--check", action="store_true", help="put the targets' scores of `imgu check` into the report: seconds each"
+    )
+    parser.add_argument(
         "--overwrite", action="store_true", help="replace the files of an earlier replay in DIR, nothing else"
     )
     add_parameter_options(parser)
@@ -71,6 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
             record=arguments.record,
             overwrite=arguments.overwrite,
             rate_hz=arguments.rate,
+            check=arguments.check,
             command=arguments.command_line,
             on_progress=progress,
             on_warning=lambda text: progress.say(f"imgu: warning: {text}"),

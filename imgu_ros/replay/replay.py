@@ -14,6 +14,7 @@ from pathlib import Path
 from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.check.load_remarks import load_remarks
+from imgu_ros.check.verdict import target_scores
 from imgu_ros.config.components import DevelopmentParameters, OutputParameters, RecordedFramesParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.errors import BagError, ParameterError
@@ -30,7 +31,7 @@ from imgu_ros.replay.result_sink import ResultSink, result_sink
 from imgu_ros.replay.results_bag import checked_record
 from imgu_ros.replay.statistics import FinishedReplay, ReplayStatistics
 from imgu_ros.report.summary import Source, Summary
-from imgu_ros.report.target_cards import target_cards
+from imgu_ros.report.target_cards import MOST_CARDS, target_cards
 from imgu_ros.simulate.truth import read_truth
 from imgu_ros.stop_signals import HeldExitStack, held
 from imgu_ros.threads import one_processor_left_over, quick_thread_switches
@@ -48,6 +49,7 @@ def replay(
     record: Sequence[str] = (),
     overwrite: bool = False,
     rate_hz: float = 0.0,
+    check: bool = False,
     command: str = "",
     on_progress: Callable[[int, int | None], None] = lambda done, total: None,
     on_warning: Callable[[str], None] = lambda text: None,
@@ -66,6 +68,7 @@ def replay(
     record : outputs to write into the results bag beside those that always are
     overwrite : replace the files of an earlier replay in `out`; nothing else is ever removed
     rate_hz : pictures a second, where their names or Exif should not tell, see `open_bag`
+    check : judge the targets as `imgu check` does, some seconds each, for the report
     command : that asks for this replay, for the report; empty: none
     on_progress : called after each frame with the number of frames done and, when it is known, of all
     on_warning : called once for each warning
@@ -89,7 +92,6 @@ def replay(
         targets = prepare_references(images, parameters)
         remarks = load_remarks(targets, parameters.raw.transfer != "srgb")
         warnings.add(tuple(remarks.values()))
-        cards = target_cards(images, parameters.targets.images, remarks)
         warnings.add(bag.warnings)
         source = FrameSource(bag, RecordedFramesParameters.of(parameters))
         warnings.add(bag.warnings, source.warnings)
@@ -130,6 +132,8 @@ def replay(
             recording=tuple(os.path.abspath(path) for path in bags),
             rate_hz=rate_hz,
         )
+        scores = target_scores(images[:MOST_CARDS], parameters) if check else {}
+        cards = target_cards(images, parameters.targets.images, remarks, scores)
         sizes = {name: target.size for target in targets for name in target.names}
         summary = sink.report(
             FinishedReplay(

@@ -15,6 +15,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from imgu_ros.check.verdict import DEPENDABLE
 from imgu_ros.config.parameters import declarations
 from imgu_ros.file_access.text_files import write_text
 from imgu_ros.messages.annotations import STATUS_COLORS
@@ -65,6 +66,7 @@ def write_report(
     page = environment.get_template("report.html.j2").render(
         summary=summary,
         cards=cards,
+        dependable=DEPENDABLE,
         found={target.name: target for target in summary.targets},
         curves=curves,
         views=[

@@ -15,7 +15,7 @@ from imgu_ros.check.finding import SIZES_PX, SLOPE, FindingCurve, SearchTrial, f
 from imgu_ros.check.load_remarks import load_remarks
 from imgu_ros.check.traits import traits_of
 from imgu_ros.check.trial_views import DEFAULT_CAMERA, TrialViews
-from imgu_ros.check.verdict import DEPENDABLE, ReasonKind, TargetCheck, check_targets, score_of
+from imgu_ros.check.verdict import DEPENDABLE, ReasonKind, TargetCheck, check_targets, score_of, target_scores
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.config.values import parameters_from
 from imgu_ros.localizer import Localizer
@@ -284,6 +284,11 @@ def test_score_of_the_mirror_picture_is_the_same(good: TargetCheck) -> None:
 def test_the_same_check_gives_the_same_numbers(good: TargetCheck) -> None:
     again = checked(patchwork())
     assert (again.score, again.smallest_width_px, again.errors) == (good.score, good.smallest_width_px, good.errors)
+
+
+def test_scores_alone_are_those_of_the_whole_check(good: TargetCheck) -> None:
+    images = [TargetImage("a", patchwork(), 0.2), TargetImage("blank", np.full((200, 300, 3), 200, np.uint8), 0.0)]
+    assert target_scores(images, QUICK) == {"a": good.score, "blank": 0}
 
 
 def test_unknown_width_gives_lengths_in_widths(good: TargetCheck) -> None:

@@ -189,7 +189,13 @@ EVIL = "</script><script>alert('x')</script> & more \u2028\x1b[2J"
 
 
 def page_of(
-    make_result: MakeResult, folder: Path, *, with_truth: bool = False, name: str = "a", **changed: object
+    make_result: MakeResult,
+    folder: Path,
+    *,
+    with_truth: bool = False,
+    name: str = "a",
+    score: int | None = None,
+    **changed: object,
 ) -> str:
     """Return the report of four frames with two targets, and of one without a find."""
     results = [make_result(i, names=("b", name)) for i in range(4)]
@@ -199,7 +205,7 @@ def page_of(
     for index, result in enumerate(results):
         samples.offer(index, result)
     image = TargetImage(name, np.full((60, 80, 3), 90, np.uint8), 0.2)
-    cards = target_cards([image], [f"{name}.png"], {name: "few corners"})
+    cards = target_cards([image], [f"{name}.png"], {name: "few corners"}, {} if score is None else {name: score})
     write_report(folder / "report.html", table, summary_of(table, **changed), samples.chosen(), cards)
     return (folder / "report.html").read_text()
 
@@ -234,6 +240,12 @@ def test_report_is_one_self_contained_page(make_result: MakeResult, tmp_path: Pa
     assert ({"Position, 1σ", "Rotation, 1σ"} <= titles) is not with_truth
     assert ("No truth file" in page) is not with_truth
     assert len(page) < 400_000
+
+
+def test_scores_of_targets(make_result: MakeResult, tmp_path: Path) -> None:
+    assert "imgu replay --check" in page_of(make_result, tmp_path)
+    page = page_of(make_result, tmp_path, score=73)
+    assert "score 73 of 100" in page and "dependable from 50 on" in page and "--check" not in page
 
 
 def test_strings_of_strangers_act_on_nothing(make_result: MakeResult, tmp_path: Path) -> None:
