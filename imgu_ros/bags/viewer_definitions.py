@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Definitions of messages that viewers know and rosbags does not: apart from the list of types for its length.
 
-Fields and their order are those of the packages foxglove_msgs (docs.ros.org/en/api/foxglove_msgs; its later versions
-add metadata at the end, which readers find missing by the definition in the bag) and vision_msgs of ROS 2 Jazzy (4.1).
+Fields and their order are those of the packages foxglove_msgs (docs.ros.org/en/api/foxglove_msgs; versions since 2026
+have a timestamp and metadata besides, which readers find missing by the definition in the bag) and vision_msgs 4.1, of
+ROS 2 Jazzy.
 """
 
 from __future__ import annotations

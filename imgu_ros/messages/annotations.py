@@ -60,7 +60,10 @@ def annotations_message(make: MessageFactory, header: Header, result: Result) ->
                 background_color=_color(make, (0, 0, 0), 0.6),
             )
         )
-    return make("foxglove_msgs/msg/ImageAnnotations", circles=[], points=points, texts=texts)
+    message = make("foxglove_msgs/msg/ImageAnnotations", circles=[], points=points, texts=texts)
+    if hasattr(message, "timestamp"):  # in packages since 2026, where it counts more than those of the parts
+        message.timestamp = stamp
+    return message
 
 
 def label(found: ReferenceResult) -> str:

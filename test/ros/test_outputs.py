@@ -412,9 +412,11 @@ def test_topics_of_packages_that_are_not_installed_are_left_out(monkeypatch: pyt
     assert not {"annotations", "detections"} & node.publishers.keys()
 
 
-def test_annotations_go_out_where_their_package_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("timed", [False, True])
+def test_annotations_go_out_where_their_package_is_installed(monkeypatch: pytest.MonkeyPatch, timed: bool) -> None:
     kinds = {
-        "ImageAnnotations": {"circles": "sequence<x>", "points": "sequence<x>", "texts": "sequence<x>"},
+        "ImageAnnotations": dict.fromkeys(("circles", "points", "texts"), "sequence<x>")
+        | ({"timestamp": "builtin_interfaces/Time"} if timed else {}),
         "Color": dict.fromkeys("rgba", "double"),
         "Point2": dict.fromkeys("xy", "double"),
     }
@@ -431,6 +433,7 @@ def test_annotations_go_out_where_their_package_is_installed(monkeypatch: pytest
         published.publish(result(seen=()))
         (message,) = node.publishers["annotations"].sent
         assert (message.points, message.texts) == ([], []), "what was drawn before goes"
+        assert not timed or message.timestamp.sec == 1
     finally:
         message_class.cache_clear()
         _fields.cache_clear()
@@ -438,7 +441,7 @@ def test_annotations_go_out_where_their_package_is_installed(monkeypatch: pytest
 
 def _message_type(name: str, fields: dict[str, str]) -> type:
     def init(self: Any, **values: Any) -> None:
-        vars(self).update(values)
+        vars(self).update(dict.fromkeys(fields) | values)
 
     return type(name, (), {"__init__": init, "get_fields_and_field_types": classmethod(lambda cls: fields)})
 
