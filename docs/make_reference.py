@@ -3,7 +3,8 @@
 
 A page for each chapter of imgu_ros/vision, built from the docstrings: the chapter's own at its head, its picture, the
 catalogue's lines (docs/algorithms.csv), then every public function and class; and the page of the commands
-(docs/make_commands.py). `--pictures` also draws the pictures (docs/pictures/<chapter>.py).
+(docs/make_commands.py). `--pictures` also draws the pictures: of chapters (docs/pictures/<chapter>.py)
+and of functions (docs/function_pictures.py).
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import importlib.util
 import inspect
 import pkgutil
 import re
+import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
 from types import ModuleType
@@ -51,11 +53,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--pictures", action="store_true", help="draw the pictures, too")
     pictures = parser.parse_args().pictures
-    for name, text in pages().items():
-        (DOCS / "reference" / name).write_text(text, encoding="utf-8")
     if pictures:
         for chapter in CHAPTERS:
             draw_picture(chapter, DOCS / "reference" / "images" / f"{chapter}.png")
+        subprocess.run([sys.executable, str(DOCS / "function_pictures.py")], check=True)
+    for name, text in pages().items():
+        (DOCS / "reference" / name).write_text(text, encoding="utf-8")
 
 
 def pages() -> dict[str, str]:
@@ -97,6 +100,12 @@ def modules_of(chapter: str) -> list[ModuleType]:
     return [importlib.import_module(name) for name in sorted(names)]
 
 
+def functions_of(chapter: str) -> list[tuple[str, Callable[..., object]]]:
+    """Return the public functions of a chapter, by name."""
+    found = [each for module in modules_of(chapter) for each in public_objects(module)]
+    return [(name, value) for name, value in found if inspect.isfunction(value)]
+
+
 def _chapter_page(chapter: str, title: str) -> str:
     package = importlib.import_module(f"{PACKAGE}.{chapter}")
     lines = [LICENCE, f"# {title}", "", *_paragraph_lines(package), ""]
@@ -114,7 +123,7 @@ def _chapter_page(chapter: str, title: str) -> str:
             shown = shown.replace("\n", "\n    ").replace("\n    )", ",\n)")
         lines += [f"## {module.__name__}", "", "```python", shown, "```", "", *_paragraph_lines(module), ""]
         for name, value in objects:
-            lines += _described(name, value)
+            lines += _described(name, value, _picture(chapter, name))
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -147,12 +156,20 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|")
 
 
-def _described(name: str, value: object) -> list[str]:
+def _picture(chapter: str, name: str) -> str:
+    """Return the picture of a function, from the page; empty without one."""
+    file = f"images/{chapter}.{name}.png"
+    return file if (DOCS / "reference" / file).exists() else ""
+
+
+def _described(name: str, value: object, picture: str = "") -> list[str]:
     lines = [f"### {name}", ""]
     if inspect.isclass(value) and issubclass(value, Enum):
         lines += [*_docstring_lines(value), "", "Values: " + ", ".join(f"`{member.value}`" for member in value), ""]
         return lines
     lines += ["```python", _signature(name, value), "```", "", *_docstring_lines(value), ""]
+    if picture:
+        lines += [f"![What goes into {name} and what comes out]({picture})", ""]
     if inspect.isclass(value):
         for member_name, member in vars(value).items():
             if member_name.startswith("_") or not (inspect.isfunction(member) or isinstance(member, property)):

@@ -69,6 +69,32 @@ def test_pictures_are_made_by_code(make_reference: ModuleType, repository: Path,
     assert abs(float(drawn.mean()) - float(kept.mean())) < 8, "run: python docs/make_reference.py --pictures"
 
 
+@pytest.fixture(scope="module")
+def function_pictures(make_reference: ModuleType) -> ModuleType:
+    return importlib.import_module("function_pictures")  # beside make_reference, which put its folder on the path
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_every_function_has_its_picture(
+    make_reference: ModuleType, function_pictures: ModuleType, repository: Path, tmp_path: Path, chapter: str
+) -> None:
+    """Of those that take or give more than single numbers; the first is drawn anew."""
+    calls = function_pictures.example_calls(chapter)
+    functions = make_reference.functions_of(chapter)
+    wanted = {name for name, each in functions if function_pictures.has_picture(name, each, calls)}
+    images = repository / "docs" / "reference" / "images"
+    assert {path.name.split(".")[1] for path in images.glob(f"{chapter}.*.png")} == wanted, (
+        "run: python docs/make_reference.py --pictures"
+    )
+    assert len(wanted) >= 0.7 * len(functions)
+    name, function = next(each for each in functions if each[0] in wanted)
+    function_pictures.draw(function, calls[function], tmp_path / "picture.png")
+    drawn = cv2.imread(str(tmp_path / "picture.png"))
+    kept = cv2.imread(str(images / f"{chapter}.{name}.png"))
+    assert drawn is not None and kept is not None and drawn.std() > 5
+    assert abs(drawn.shape[0] - kept.shape[0]) <= 8 and abs(float(drawn.mean()) - float(kept.mean())) < 8
+
+
 def test_every_algorithm_imports(catalogue: list[dict[str, str]]) -> None:
     for row in catalogue:
         assert _imported(row["function"]) is not None, row["function"]
