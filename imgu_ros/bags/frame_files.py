@@ -23,8 +23,8 @@ FRAME_CHANNEL = Channel("/image_raw", "sensor_msgs/msg/Image", Serialization.CDR
 FRAME_ID = "camera"
 
 _VIDEOS = {
-    ".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ogv",
-    ".ts", ".webm", ".wmv", ".y4m",
+    ".3gp", ".avi", ".flv", ".gif", ".m2ts", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts",
+    ".ogv", ".ts", ".webm", ".wmv", ".y4m",
 }  # fmt: skip
 _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".pbm", ".bmp", ".webp"}
 _BAGS = {".bag", ".mcap", ".db3", ".zstd"}

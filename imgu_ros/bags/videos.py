@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,24 @@ _USUAL_RATE = Fraction(30)
 _SECOND = 10**9
 #: A file whose frames end by more s, and by more of its length, before its end was cut; sound may go on a little.
 _ENDS_EARLY_S, _ENDS_EARLY = Fraction(1), Fraction(1, 20)
+
+
+#: FFmpeg's pixel formats that are kept: PyAV's name of what it gives, and ROS's of the encoding.
+_KEPT = {
+    "gray": ("gray", "mono8"),
+    "gray16le": ("gray16le", "mono16"),
+    **{f"bayer_{order}8": (f"bayer_{order}8", f"bayer_{order}8") for order in ("rggb", "bggr", "grbg", "gbrg")},
+    **{f"bayer_{order}16le": (f"bayer_{order}16le", f"bayer_{order}16") for order in ("rggb", "bggr", "grbg", "gbrg")},
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoPicture:
+    """A frame: ns after the first, pixels (H, W) or (H, W, 3), and their encoding."""
+
+    time_ns: int
+    pixels: Image
+    encoding: str
 
 
 class VideoFile:
@@ -54,8 +73,8 @@ class VideoFile:
             self.duration_s = _duration_s(container, stream)
             self.frame_count = stream.frames or _packets(container, stream)
 
-    def frames(self, warnings: WarningLog | None = None) -> Iterator[tuple[int, Image]]:
-        """Yield the time of each frame after the first, ns, and its pixels, (H, W, 3) BGR, the way up it is shown.
+    def frames(self, warnings: WarningLog | None = None) -> Iterator[VideoPicture]:
+        """Yield the frames the way up that they are shown; grey and mosaics as they are, all else as 8-bit BGR.
 
         A file that is cut or damaged gives the frames that can be decoded; what is wrong with it goes to `warnings`.
         """
@@ -74,7 +93,11 @@ class VideoFile:
                 decoded += 1
                 if getattr(frame, "is_corrupt", False):
                     warnings.add(f"{self._path}: frame {decoded} is damaged", f"{self._path}: damaged frames")
-                yield round(time * _SECOND), _upright(frame, _turns(frame, stream))
+                kind, encoding = _KEPT.get(frame.format.name, ("bgr24", "bgr8"))
+                pixels = frame.to_ndarray(format=kind)
+                turns = 0 if encoding.startswith("bayer") else _turns(frame, stream)
+                upright = np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
+                yield VideoPicture(round(time * _SECOND), upright, encoding)
         if decoded < self.frame_count:
             warnings.add(f"{self._path}: {decoded} of the {self.frame_count} frames in the file can be read")
         elif self.duration_s - time > max(_ENDS_EARLY_S, _ENDS_EARLY * self.duration_s):
@@ -149,9 +172,10 @@ class VideoStorage:
         start_ns = 0
         for file in self._files:
             last_ns = -1
-            for time_ns, pixels in file.frames(self._warnings):
-                last_ns = start_ns + time_ns
-                yield RawMessage(FRAME_CHANNEL, last_ns, b"", frame_message(last_ns, pixels, "bgr8"))
+            for picture in file.frames(self._warnings):
+                last_ns = start_ns + picture.time_ns
+                message = frame_message(last_ns, picture.pixels, picture.encoding)
+                yield RawMessage(FRAME_CHANNEL, last_ns, b"", message)
             start_ns = max(start_ns, last_ns + round(_SECOND / file.rate))
 
 
@@ -194,11 +218,6 @@ def _turns(frame: VideoFrame, stream: VideoStream) -> int:
     if degrees is None:  # PyAV before 14
         degrees = (getattr(stream, "side_data", None) or {}).get("DISPLAYMATRIX", 0)
     return round(float(degrees) / 90) % 4
-
-
-def _upright(frame: VideoFrame, turns: int) -> Image:
-    pixels = frame.to_ndarray(format="bgr24")
-    return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
 
 
 def _one_line(error: Exception) -> str:

@@ -16,6 +16,7 @@ from imgu_ros.bags.decoding import message_from_cdr
 from imgu_ros.bags.reading import open_bag
 from imgu_ros.errors import BagError
 from imgu_ros.messages.frame import decode_frame
+from imgu_ros.messages.image import decode_image
 
 TICKS = 90_000
 #: Frames of a camera whose rate varies between 12 and 50 Hz.
@@ -70,6 +71,24 @@ def test_frames_keep_their_own_times(tmp_path, name, codec, tick_s):
 def test_pixels_of_a_lossless_video_are_exact(tmp_path):
     for index, (_, frame) in enumerate(frames_of(write_video(tmp_path / "a.mov", "png", "rgb24"))):
         np.testing.assert_array_equal(frame.image.pixels[:, :, ::-1], picture(index))
+
+
+@pytest.mark.parametrize(
+    ("pixels", "dtype", "encoding"), [("gray", np.uint8, "mono8"), ("gray16le", np.uint16, "mono16")]
+)
+def test_grey_keeps_its_depth(tmp_path, pixels, dtype, encoding):
+    """As cameras of machines record, and what `raw.encoding` makes a mosaic of."""
+    written = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (48, 64)).astype(dtype)
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(written, format=pixels)))
+        container.mux(stream.encode())
+    with open_bag([tmp_path / "a.mkv"]) as bag:
+        (message,) = (one.message for one in bag.messages())
+    assert message.encoding == encoding
+    np.testing.assert_array_equal(decode_image(message).pixels, written)
+    np.testing.assert_array_equal(decode_image(message, f"bayer_rggb{8 * written.itemsize}").pixels, written)
 
 
 def test_several_videos_follow_one_another_in_natural_order(tmp_path):
