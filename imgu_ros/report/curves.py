@@ -93,7 +93,8 @@ def curves_of(table: FrameTable) -> Curves:
     drawn = _drawn_targets(table)
     frames = int(table.frame.max()) + 1 if len(table) else 0
     described = list(_described(table))
-    count = sum(len(quantities) for *_, quantities in described) * max(len(drawn), 1) + 1
+    # For each point: the curves and the position of each target, its place, its frame, and the time that it took.
+    count = (sum(len(quantities) for *_, quantities in described) + 3) * max(len(drawn), 1) + 3
     bins = _Bins(frames, max(1, -(-2 * frames // max(2, min(_MOST_POINTS, _MOST_NUMBERS // count)))))
     if frames <= min(_MOST_POINTS, _MOST_NUMBERS // count):
         bins = _Bins(frames, 1)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
+import numpy as np
 
 from imgu_ros.errors import FileError
 from imgu_ros.report.overlay import draw_result
@@ -95,10 +96,13 @@ class Samples:
 
     def chosen(self) -> tuple[AnnotatedFrame, ...]:
         """Return the kept samples in order of time, fewer of the even ones where their pictures are large."""
-        even, misses = list(self._choice.even), self._choice.misses
-        while len(even) > 1 and sum(len(self._kept[index].jpeg) for index in {*even, *misses}) > _MOST_BYTES:
-            even = even[::2]
-        return tuple(self._kept[index] for index in sorted({*even, *misses}))
+        even, misses = self._choice.even, self._choice.misses
+        for count in range(len(even), 0, -1):
+            places = np.linspace(0, len(even) - 1, count)
+            chosen = sorted({*(even[round(place)] for place in places), *misses})
+            if count == 1 or sum(len(self._kept[index].jpeg) for index in chosen) <= _MOST_BYTES:
+                return tuple(self._kept[index] for index in chosen)
+        return tuple(self._kept[index] for index in misses)
 
 
 def _sample(index: int, result: Result) -> AnnotatedFrame:

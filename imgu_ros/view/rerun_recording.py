@@ -97,6 +97,7 @@ class _Writer:
     def __init__(self, stream: rr.RecordingStream, results: ReplayResults) -> None:
         self._stream = stream
         self._results = results
+        self._main = results.targets[0] if results.targets else ""
         #: Positions of the camera in the frame of each target, and their covariances.
         self._ways: dict[str, list[tuple[int, Floats, Floats]]] = {name: [] for name in results.targets}
         self._states: dict[str, tuple[str, str]] = {}
@@ -155,7 +156,7 @@ class _Writer:
         """Give the camera's pyramid the colour of the first target's status: grey where its place is that of before."""
         if camera is None:
             return
-        main = next((t for t in frame.targets if t.name == self._results.targets[0]), None)
+        main = next((t for t in frame.targets if t.name == self._main), None)
         has_pose = main is not None and main.pose is not None
         color = STATUS_COLORS[main.status] if main is not None and has_pose else _UNKNOWN_COLOR
         distance = float(np.linalg.norm(main.pose.t)) if main is not None and main.pose is not None else None
@@ -195,7 +196,7 @@ class _Writer:
 
     def _space_of(self, name: str) -> str:
         """Return the entity of a target's frame: that of the first target is the world."""
-        return f"{SPACE}/{name}" if name == self._results.targets[0] else f"around/{name}"
+        return f"{SPACE}/{name}" if name == self._main else f"around/{name}"
 
     def _write_overlay(self, scale: float, frame: SeenFrame) -> None:
         statuses = {target.name: target.status for target in frame.targets}
@@ -233,7 +234,7 @@ class _Writer:
         log(f"{PLOTS}/distance/{name}", rr.Scalars(float(np.linalg.norm(pose.t))))
         camera = pose.inverse()
         self._ways[name].append((index, camera.t, camera.covariance[:3, :3]))
-        if name == self._results.targets[0]:
+        if name == self._main:
             x_y_z_w = camera.transform.numbers()[3:]
             log("world/camera", rr.Transform3D(translation=camera.t, quaternion=rr.Quaternion(xyzw=x_y_z_w)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,6 +154,28 @@ def test_slider_buttons_play_and_path(page: Path, chromium: Chromium) -> None:
         "return [b.left + b.width / 2, b.top + b.height / 2]; })()"
     )
     assert np.allclose(dot, (x, y), atol=2)
+    assert chromium.complaints() == []
+
+
+@pytest.mark.parametrize("frames", [1, 4500])
+def test_one_frame_and_more_than_there_are_points(
+    make_result: Callable[..., Result], chromium: Chromium, tmp_path: Path, frames: int
+) -> None:
+    with FramesWriter(tmp_path / "frames.csv") as writer:
+        results = [make_result(index, status=Status.LOST if index else Status.DETECTED) for index in range(2)]
+        for index in range(frames):
+            is_lost = index == frames - 2
+            frame = replace(results[is_lost].frame, stamp_ns=10**18 + index * 10**7)
+            writer.write(replace(results[is_lost], frame=frame))
+    table = read_frame_table(tmp_path / "frames.csv")
+    write_report(tmp_path / "report.html", table, summary_of(table), [AnnotatedFrame(0, 0, "", picture(0))])
+    chromium.open((tmp_path / "report.html").as_uri())
+    chromium.click(*place_of(chromium, "plot-0", 0.9999))
+    if frames > 1:
+        assert selected(chromium).startswith("Frames ")
+        readout = chromium.value("document.getElementById('readout').textContent")
+        assert "lost" in readout, "the loss of a single frame is seen"
+    assert shown_frame(chromium) == 0
     assert chromium.complaints() == []
 
 
