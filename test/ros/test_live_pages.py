@@ -60,7 +60,7 @@ def test_poses_come_out(page, printed, environment, workplace, terminals):
     variables = {**environment, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     output = workplace / "printed.txt"
     run = [block.text.strip() for block in commands(page) if not block.reason]
-    assert len(run) == 3 and "listen.py" in run[0]
+    assert len(run) >= 3 and "listen.py" in run[0]
     with output.open("w") as file:
         for text in run:
             # A player ends with its bag; another begins where the page says a camera goes on.
