@@ -85,7 +85,11 @@ def recording_files(paths: Sequence[Path | str]) -> RecordingFiles:
     if len(kinds) > 1:
         named = ", ".join(f"{path} ({kind})" for kind, path in kinds.items())
         raise BagError(f"inputs of several kinds: {named}; need bags, or videos, or pictures alone")
-    return RecordingFiles(next(iter(kinds), InputKind.BAG), tuple(found))
+    kind = next(iter(kinds), InputKind.BAG)
+    if kind is not InputKind.BAG and found == sorted(found):
+        # As a shell lists what fits a pattern: frame10 before frame2. Another order is the user's own.
+        found.sort(key=lambda path: (path.parent, natural_order(path)))
+    return RecordingFiles(kind, tuple(found))
 
 
 def is_picture_name(path: Path) -> bool:

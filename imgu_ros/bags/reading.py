@@ -153,7 +153,9 @@ class Bag:
         expansion = Expansion(self._limits)
         for raw in self.raw_messages(topics):
             try:
-                message = raw.message or self._decoder.decoded(self._plain(raw, expansion))
+                message = raw.message
+                if message is None:
+                    message = self._decoder.decoded(self._plain(raw, expansion))
             except BagError as error:
                 self._warn_of_message(raw, error)
                 continue

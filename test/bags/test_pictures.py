@@ -78,6 +78,19 @@ def test_a_rate_counts_more_than_names_and_natural_order_is_kept(tmp_path):
     assert read == [(0, 1), (125_000_000, 2), (250_000_000, 10), (375_000_000, 255)]
 
 
+def test_a_shells_order_is_made_natural_and_a_users_own_is_kept(tmp_path):
+    paths = [tmp_path / f"f{number}.pgm" for number in (1, 2, 10)]
+    for value, path in enumerate(paths):
+        write_image(path, np.full((4, 4), value, np.uint8))
+
+    def values(given):
+        with open_bag(given, rate_hz=1) as bag:
+            return [int(message.message.data[0]) for message in bag.messages()]
+
+    assert values(sorted(paths)) == [0, 1, 2]
+    assert values([paths[2], paths[0], paths[1]]) == [2, 0, 1]
+
+
 def test_a_pattern_names_some_pictures_of_a_folder(tmp_path):
     for name in ("a_1", "a_2", "b_1"):
         write_image(tmp_path / f"{name}.png", GREY)
