@@ -17,10 +17,12 @@ from imgu_ros.config.components import ComponentParameters, ReferenceParameters
 from imgu_ros.config.parameters import Parameters
 from imgu_ros.detect.detector import Detector, ReferenceDetector
 from imgu_ros.detect.markers import MarkerDetector
+from imgu_ros.detect.patterns import PatternDetector
 from imgu_ros.errors import ParameterError
 from imgu_ros.reference.bundle import BundleImage, bundle_reference
 from imgu_ros.reference.family import FamilyImage, family_reference
 from imgu_ros.reference.marker import BoardImage, MarkerImage, marker_reference
+from imgu_ros.reference.pattern import PatternImage, pattern_reference
 from imgu_ros.reference.planar import PlanarReference, planar_reference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
@@ -47,6 +49,7 @@ KINDS: dict[str, ReferenceKind] = {
     MarkerImage.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
     BoardImage.kind: ReferenceKind(ReferenceParameters, marker_reference, MarkerDetector),
     FamilyImage.kind: ReferenceKind(ReferenceParameters, family_reference, MarkerDetector),
+    PatternImage.kind: ReferenceKind(ReferenceParameters, pattern_reference, PatternDetector),
     BundleImage.kind: ReferenceKind(ReferenceParameters, bundle_reference, MarkerDetector),
 }
 

@@ -132,11 +132,13 @@ def _jobs(image: TargetImage, entry: str, width_m: float | None) -> list[PrintJo
 def _marker_job(image: MarkerImage, width_name: str, words: list[str]) -> PrintJob:
     from imgu_ros.files.print_pages import PrintJob
     from imgu_ros.reference.marker import BoardImage
+    from imgu_ros.reference.marker_layout import CellBlock, MarkerLayout
 
-    layout = image.layout
+    layout, cells = image.layout, list[CellBlock]()
     left, top, right, bottom = layout.box
     scale, margin = 1000 * image.width_m / (right - left), layout.margin
-    cells = [block.moved(left - margin, top + margin, scale) for block in layout.blocks]
+    if isinstance(layout, MarkerLayout):
+        cells = [block.moved(left - margin, top + margin, scale) for block in layout.blocks]
     width_mm, height_mm = scale * (right - left), scale * (top - bottom)
     what = "what is black" if isinstance(image, BoardImage) else "the black square"
     size = f"{width_mm:.4g} x {height_mm:.4g} mm, outer edge to outer edge of {what}; leave the white about it"

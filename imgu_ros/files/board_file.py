@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +16,33 @@ from imgu_ros.errors import FileError, ShapeError, nearest_name
 from imgu_ros.file_access.bounded_reading import file_bytes
 from imgu_ros.files.yaml_tree import yaml_tree
 from imgu_ros.reference.bundle import BundleMarker
-from imgu_ros.reference.marker_layout import LayoutTemplate, MarkerLayout, PlacedMarker, charuco_layout, grid_layout
+from imgu_ros.reference.dot_layout import DotLayout, DotTemplate
+from imgu_ros.reference.marker_layout import (
+    LayoutTemplate,
+    MarkerLayout,
+    PlacedMarker,
+    PlacedSquares,
+    charuco_layout,
+    grid_layout,
+)
 from imgu_ros.shown_text import quoted
 from imgu_ros.vision.camera.euler import from_euler
 from imgu_ros.vision.camera.pose import Pose
 from imgu_ros.vision.camera.rigid import RigidTransform, rigid_transform
 from imgu_ros.vision.markers import marker_cells, marker_distance
 
-#: Markers on one plane, or on several.
-Board = MarkerLayout | tuple[BundleMarker, ...]
+#: What is on one plane, or markers on several.
+Board = MarkerLayout | DotLayout | tuple[BundleMarker, ...]
 #: Suffixes of board files among the entries of `targets.images`.
 BOARD_SUFFIXES = (".yaml", ".yml")
-_NEED = "need a board file: one of markers, grid, charuco"
+_NEED = "need a board file: one of markers, grid, charuco, chessboard, dots"
 #: Kinds of boards, and what each has beside what is optional.
 _GRID = {"family": None, "rows": None, "columns": None, "size": None, "gap": None, "first_id": 0}
 _CHARUCO = {
     "family": None, "rows": None, "columns": None, "square": None, "size": None, "first_id": 0, "legacy": False,
 }  # fmt: skip
+_CHESSBOARD = {"rows": None, "columns": None, "square": None}
+_DOTS = {"rows": None, "columns": None, "spacing": None, "diameter": None, "shifted": False}
 _MARKER = {"family": None, "id": None, "size": None, "x": 0.0, "y": 0.0, "turn_deg": 0}
 _QUATERNION, _ANGLES = "quaternion", ("roll_deg", "pitch_deg", "yaw_deg")
 #: What a marker has that is not on the plane of the others.
@@ -89,14 +99,14 @@ def board_of(content: Any, source: str) -> Board:
     FileError
         As `read_board`.
     """
-    kinds = [kind for kind in ("markers", "grid", "charuco") if isinstance(content, dict) and kind in content]
+    kinds = [kind for kind in _KINDS if isinstance(content, dict) and kind in content]
     if len(kinds) != 1:
         got = " and ".join(kinds) if kinds else "none of these keys"
         raise FileError(f"{source}: {got}; {_NEED}")
     (kind,) = kinds
     try:
         _require_known(content, (kind, *(("family", "size") if kind == "markers" else ())), "")
-        board = {"markers": _of_markers, "grid": _of_grid, "charuco": _of_charuco}[kind](content)
+        board = _KINDS[kind](content)
         _require_possible(board)
     except (FileError, ShapeError) as error:
         raise FileError(f"{source}: {error}") from None
@@ -235,9 +245,37 @@ def _of_charuco(content: Mapping[str, Any]) -> MarkerLayout:
     return charuco_layout(own.text("family"), columns, rows, square, size, range(first, first + count), is_legacy)
 
 
-def _require_count(count: int) -> None:
+def _of_chessboard(content: Mapping[str, Any]) -> MarkerLayout:
+    own = _CheckedKeys(content["chessboard"], _CHESSBOARD, "chessboard")
+    rows, columns = own.whole("rows", 4), own.whole("columns", 4)
+    _require_count(rows * columns, "squares")
+    return MarkerLayout((), PlacedSquares(columns, rows, own.length("square"), first_is_black=True))
+
+
+def _of_dots(content: Mapping[str, Any]) -> DotLayout:
+    own = _CheckedKeys(content["dots"], _DOTS, "dots")
+    rows, columns = own.whole("rows", 3), own.whole("columns", 3)
+    _require_count(rows * columns, "dots")
+    spacing, diameter, is_shifted = own.length("spacing"), own.length("diameter"), own.is_true("shifted")
+    nearest = spacing * (math.sqrt(2) if is_shifted else 1.0)
+    if not diameter < nearest:
+        raise FileError(f"dots.diameter: {diameter:g} m; need less than the {nearest:g} m between two dots")
+    return DotLayout(columns, rows, spacing, diameter, is_shifted)
+
+
+#: What a board file may hold.
+_KINDS: dict[str, Callable[[Mapping[str, Any]], Board]] = {
+    "markers": _of_markers,
+    "grid": _of_grid,
+    "charuco": _of_charuco,
+    "chessboard": _of_chessboard,
+    "dots": _of_dots,
+}
+
+
+def _require_count(count: int, what: str = "markers") -> None:
     if count > _MOST_MARKERS:
-        raise FileError(f"{count} markers; need at most {_MOST_MARKERS}")
+        raise FileError(f"{count} {what}; need at most {_MOST_MARKERS}")
 
 
 def _require_possible(board: Board) -> None:
@@ -250,19 +288,22 @@ def _require_possible(board: Board) -> None:
         if (marker.family, marker.number) in seen:
             raise FileError(f"{marker}: twice; need each marker once")
         seen.add((marker.family, marker.number))
-    overlapping = _overlapping(board.markers) if isinstance(board, MarkerLayout) else _coinciding(board)
+    overlapping = _coinciding(board) if isinstance(board, tuple) else _overlapping(board.markers)
     for first, second in overlapping:
         raise FileError(f"{first} and {second} overlap; need places with white between them")
-    if isinstance(board, MarkerLayout) and (cell_px := LayoutTemplate(board).cell_px) < _LEAST_CELL_PX:
+    if isinstance(board, tuple):
+        return
+    template = DotTemplate(board) if isinstance(board, DotLayout) else LayoutTemplate(board)
+    if (cell_px := template.cell_px) < _LEAST_CELL_PX:
         raise FileError(
-            f"{board.width:g} m wide: cells of its smallest marker would have {cell_px:.2g} px in the template; need "
+            f"{board.width:g} m wide: cells of its smallest detail would have {cell_px:.2g} px in the template; need "
             f"at least {_LEAST_CELL_PX:g}: a smaller board, or several"
         )
 
 
 def markers_of(board: Board) -> Sequence[PlacedMarker]:
     """Return the markers of a board or a bundle."""
-    return board.markers if isinstance(board, MarkerLayout) else [each.marker for each in board]
+    return [each.marker for each in board] if isinstance(board, tuple) else board.markers
 
 
 def _coinciding(markers: Sequence[BundleMarker]) -> Iterator[tuple[PlacedMarker, PlacedMarker]]:

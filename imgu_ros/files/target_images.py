@@ -19,9 +19,11 @@ from imgu_ros.errors import FileError, ParameterError, ShapeError
 from imgu_ros.files.board_file import BOARD_SUFFIXES, read_board
 from imgu_ros.image_files.images import read_image_file
 from imgu_ros.reference.bundle import BundleImage, bundle_image
+from imgu_ros.reference.dot_layout import DotLayout
 from imgu_ros.reference.family import FamilyImage, family_image
 from imgu_ros.reference.marker import MarkerImage, board_image, marker_image
 from imgu_ros.reference.marker_layout import MarkerLayout, PlacedMarker
+from imgu_ros.reference.pattern import pattern_image
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.shown_text import quoted
 from imgu_ros.types import Image
@@ -126,6 +128,8 @@ def _image_of(
         return marker_image(name, entry.family, entry.number, width_m)
     if entry.suffix.lower() in BOARD_SUFFIXES:
         board = read_board(entry, limits)
+        if isinstance(board, DotLayout) or (isinstance(board, MarkerLayout) and not board.markers):
+            return pattern_image(name, board, width_m)
         if isinstance(board, MarkerLayout):
             return board_image(name, board, width_m)
         if width_m:

@@ -18,7 +18,8 @@ from imgu_ros.image.raw_samples import DrawnLevel
 from imgu_ros.pose.calibration_check import CalibrationCheck
 from imgu_ros.pose.planar_pose import Located, planar_pose
 from imgu_ros.pose.plane import Plane
-from imgu_ros.reference.marker_layout import LayoutTemplate, MarkerLayout, PlacedMarker, spread_out
+from imgu_ros.reference.dot_layout import DotLayout, DotTemplate
+from imgu_ros.reference.marker_layout import LayoutTemplate, MarkerLayout, PlacedMarker, PlaneTemplate, spread_out
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.self_similarity import Copy
 from imgu_ros.reference.templates import LightTemplates, TargetImage, TemplatePyramids, Templates
@@ -41,14 +42,14 @@ class MarkerImage(TargetImage):
     Attributes
     ----------
     width_m : outer edge to outer edge of what is black; 0: unknown
-    layout : which markers, and where
+    layout : which markers, or dots, and where
     template : what is drawn of it
     """
 
     kind: ClassVar[str] = "marker"
 
-    layout: MarkerLayout = field(kw_only=True)
-    template: LayoutTemplate = field(kw_only=True)
+    layout: MarkerLayout | DotLayout = field(kw_only=True)
+    template: PlaneTemplate = field(kw_only=True)
 
     @property
     def sheet_width_m(self) -> float:
@@ -91,7 +92,7 @@ def marker_image(name: str, family: str, number: int, width_m: float) -> MarkerI
     ShapeError
         If there is no such marker, or OpenCV has no aruco module.
     """
-    return _drawn_image(MarkerImage, name, MarkerLayout((PlacedMarker(family, number, 1.0),)), width_m)
+    return drawn_image(MarkerImage, name, MarkerLayout((PlacedMarker(family, number, 1.0),)), width_m)
 
 
 def board_image(name: str, layout: MarkerLayout, width_m: float = 0.0) -> BoardImage:
@@ -108,11 +109,18 @@ def board_image(name: str, layout: MarkerLayout, width_m: float = 0.0) -> BoardI
     ShapeError
         If there is no such marker, or OpenCV has no aruco module.
     """
-    return _drawn_image(BoardImage, name, layout, width_m or layout.width)
+    return drawn_image(BoardImage, name, layout, width_m or layout.width)
 
 
-def _drawn_image(kind: type[_Kind], name: str, layout: MarkerLayout, width_m: float) -> _Kind:
-    template = LayoutTemplate(layout)
+def drawn_image(kind: type[_Kind], name: str, layout: MarkerLayout | DotLayout, width_m: float) -> _Kind:
+    """Return the picture of a layout.
+
+    Parameters
+    ----------
+    kind : class of the picture
+    name, layout, width_m : see `MarkerImage`
+    """
+    template = DotTemplate(layout) if isinstance(layout, DotLayout) else LayoutTemplate(layout)
     pixels = np.rint(255 * template.drawn(1.0)).astype(np.uint8)
     return kind(name, pixels, width_m, is_linear=True, layout=layout, template=template)
 
@@ -183,6 +191,9 @@ class MarkerReference(Reference):
         return spread_out(np.vstack((template.corners, template.middles)), _MOST_PATCHES)
 
 
+_Reference = TypeVar("_Reference", bound=MarkerReference)
+
+
 class DrawnLight(LightTemplates):
     """The picture of a marker at every octave, drawn exactly.
 
@@ -217,10 +228,17 @@ def marker_reference(
     parameters : those of references
     cache : keeps what is computed; what was computed before of the same image and equal values is used again
     """
+    return made_reference(MarkerReference, image, number, parameters, cache)
+
+
+def made_reference(
+    kind: type[_Reference], image: MarkerImage, number: int, parameters: ReferenceParameters, cache: BuildCache
+) -> _Reference:
+    """Return the reference of an image of a layout, of a class; see `marker_reference`."""
     p = parameters
     pyramids = cache.make(TemplatePyramids, image, (), p.pyramid.kernel)
     templates = cache.make(Templates, pyramids, p.refinement.max_points)
-    return cache.make(MarkerReference, number, image, templates, cache.make(DrawnLight, image), p.pose)
+    return cache.make(kind, number, image, templates, cache.make(DrawnLight, image), p.pose)
 
 
 def _far_apart(xy: Points, apart: Floats, scale: float) -> Points:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -121,7 +122,7 @@ class MarkerLayout:
 
     Attributes
     ----------
-    markers : at least one
+    markers : at least one, except on a chessboard
     squares : of a chessboard, in whose white squares they are; None: there is none
     """
 
@@ -135,7 +136,7 @@ class MarkerLayout:
         if self.squares is not None:
             s = self.squares
             left, top = s.x - s.side * s.columns / 2, s.y + s.side * s.rows / 2
-            blocks.append(CellBlock(left, top, s.side, s.white, is_framed=False))
+            blocks.append(CellBlock(left, top, s.side, s.white, is_framed=not self.markers))
         for marker in self.markers:
             cells, half = marker.cells, marker.size / 2
             side = marker.size / len(cells)
@@ -163,42 +164,45 @@ class MarkerLayout:
     def margin(self) -> float:
         """Width of the white that must be about it."""
         if self.squares is not None:
-            return 0.0
+            return 0.0 if self.markers else self.squares.side / 2
         return float(MARGIN * min(block.side for block in self.blocks))
 
 
-class LayoutTemplate:
-    """The template of a layout: its exact picture at any scale, and what of it is compared with frames.
+class PlaneTemplate(ABC):
+    """The template of what lies on a plane: its exact picture at any scale, and what of it is compared with frames.
 
     Parameters
     ----------
-    layout : of markers
+    box : left, top, right and bottom of what is black, y up
+    margin : width of the white that must be about it
+    cell : side of its smallest detail
 
     Attributes
     ----------
     size : width and height, px
     outline : left, top, right and bottom of what is black, px
-    origin : x and y of the layout's origin, px
-    cell_px : side of the smallest cell, px
+    origin : x and y of the plane's origin, px
+    cell_px : side of the smallest detail, px
     """
 
-    def __init__(self, layout: MarkerLayout) -> None:
-        self._layout, self._blocks = layout, layout.blocks
-        left, top, right, bottom = layout.box
-        width, height = right - left + 2 * layout.margin, top - bottom + 2 * layout.margin
-        cell = min(block.side for block in self._blocks)
+    #: The codes of markers, where they are in the template.
+    codes: Sequence[MarkerCode] = ()
+
+    def __init__(self, box: tuple[float, float, float, float], margin: float, cell: float) -> None:
+        left, top, right, bottom = box
+        width, height = right - left + 2 * margin, top - bottom + 2 * margin
         self._scale = min(CELL_PX / cell, math.sqrt(_MOST_PX / (width * height)), _LONGEST_PX / max(width, height))
         self.cell_px = self._scale * cell
-        self._margin = math.ceil(self._scale * layout.margin - _ROUNDED_PX)
+        self._margin = math.ceil(self._scale * margin - _ROUNDED_PX)
         self._left, self._top = left, top
         low = self._margin - 0.5
-        x, y = self._px(np.array((right, 0.0)), np.array((bottom, 0.0))).T
+        x, y = self.px(np.array((right, 0.0)), np.array((bottom, 0.0))).T
         self.outline = low, low, float(x[0]), float(y[0])
         self.origin = float(x[1]), float(y[1])
         columns, rows = (math.ceil(end + 0.5 - _ROUNDED_PX) + self._margin for end in self.outline[2:])
         self.size = columns, rows
 
-    def _px(self, x: Floats, y: Floats) -> Points:
+    def px(self, x: Floats, y: Floats) -> Points:
         """Return template px (N, 2) of places on the plane, y up."""
         at = np.column_stack((x - self._left, self._top - y)) * self._scale
         return np.asarray(np.round(at / _ROUNDED_PX) * _ROUNDED_PX + (self._margin - 0.5))
@@ -214,14 +218,41 @@ class LayoutTemplate:
             or (width * height * scale**2 <= _MOST_LIGHT_PX and max(width, height) * scale <= _LONGEST_LIGHT_PX)
         ]
 
+    @abstractmethod
     def drawn(self, scale: float) -> Singles:
         """Return the picture, 0 to 1, `scale` px in one of the template: of each the share that is white, (H, W)."""
+
+    @property
+    @abstractmethod
+    def corners(self) -> Points:
+        """Where edges between black and white tell most, (N, 2) template px."""
+
+    @property
+    @abstractmethod
+    def middles(self) -> Points:
+        """Other places on edges between black and white, (N, 2) template px."""
+
+
+class LayoutTemplate(PlaneTemplate):
+    """The template of a layout of markers.
+
+    Parameters
+    ----------
+    layout : of markers
+    """
+
+    def __init__(self, layout: MarkerLayout) -> None:
+        self._layout, self._blocks = layout, layout.blocks
+        super().__init__(layout.box, layout.margin, min(block.side for block in self._blocks))
+
+    def drawn(self, scale: float) -> Singles:
+        """See `PlaneTemplate.drawn`."""
         width, height = (math.ceil(side * scale) for side in self.size)
         picture = np.ones((height, width), np.float32)
         for block in self._blocks:
             rows, columns = block.white.shape
             (left, top), (right, bottom) = (
-                (self._px(np.array((block.left, block.right)), np.array((block.top, block.bottom))) + 0.5) * scale
+                (self.px(np.array((block.left, block.right)), np.array((block.top, block.bottom))) + 0.5) * scale
             ).tolist()
             x, across = _coverage(np.linspace(left, right, columns + 1))
             y, down = _coverage(np.linspace(top, bottom, rows + 1))
@@ -231,12 +262,12 @@ class LayoutTemplate:
         return np.clip(picture, 0, 1, out=picture)
 
     @cached_property
-    def codes(self) -> tuple[MarkerCode, ...]:
+    def codes(self) -> tuple[MarkerCode, ...]:  # type: ignore[override]
         """The codes of the markers, where they are in the template."""
         codes = []
         for marker in self._layout.markers:
             count = len(marker.cells)
-            ((x, y),) = self._px(np.array([marker.x]), np.array([marker.y]))
+            ((x, y),) = self.px(np.array([marker.x]), np.array([marker.y]))
             side = marker.size * self._scale / count
             c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[marker.quarter_turns % 4]
             turned = side * np.array([[c, s], [-s, c]])
@@ -260,7 +291,7 @@ class LayoutTemplate:
         for block in self._blocks:
             rim = int(block.is_framed)
             at = places_of(np.pad(block.white, rim, constant_values=True)) - rim
-            found.append(self._px(block.left + block.side * at[:, 0], block.top - block.side * at[:, 1]))
+            found.append(self.px(block.left + block.side * at[:, 0], block.top - block.side * at[:, 1]))
         return np.vstack(found)
 
 
