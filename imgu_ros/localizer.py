@@ -23,6 +23,7 @@ from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reasons import NOT_DUE, UNLIKELY, unusable_frame
 from imgu_ros.reference.family import FamilyReference
 from imgu_ros.reference.features import extractor_options
+from imgu_ros.reference.marker import MarkerReference
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_detectors, prepare_references
@@ -33,6 +34,9 @@ from imgu_ros.vision.descriptors.extractor import make_extractor
 
 #: While one reference is tracked, every so many searches for a few missing ones are thorough.
 _THOROUGH_EVERY = 6
+#: While so many parts are tracked, a search for further markers takes a small part of a frame's time, and more of them
+#: come into view. Measured: benchmarks/many_markers.py.
+_MANY_MARKERS = 12
 #: Observations of a track that is not new.
 _NEW = 3
 
@@ -135,7 +139,7 @@ class Localizer:
             ]
             if self._families:
                 missing = [part for each in self.references for part in each.sought(results)]
-            is_due = self._search_is_due(memory, missing, none_in_view=not results)
+            is_due = self._search_is_due(memory, missing, len(results))
             if is_due:
                 results |= self._detect(context, memory, missing, results.values())
                 if self._families:
@@ -275,13 +279,18 @@ class Localizer:
         """Return the results of all references, by name, in their order: those of families are several."""
         return by_name(one for each in self.references for one in each.results(found, frame))
 
-    def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference], none_in_view: bool) -> bool:
-        """Return whether to search: at once when a track was just lost or none is left, else now and then."""
+    def _search_is_due(self, memory: CameraMemory, missing: Sequence[Reference], tracked: int) -> bool:
+        """Return whether to search: at once when a track was just lost or none is left, else now and then.
+
+        Markers are searched for in every frame where many are tracked.
+        """
         if not missing:
             return False
         just_lost = any(part.name in memory.tracks for part in missing)
         waited = memory.frames_without_search + 1
-        return just_lost or none_in_view or waited >= self._parameters.tracking.search_every
+        if just_lost or not tracked or waited >= self._parameters.tracking.search_every:
+            return True
+        return tracked >= _MANY_MARKERS and all(part.kind == MarkerReference.kind for part in missing)
 
     def _remember(self, memory: CameraMemory, results: Mapping[str, ReferenceResult], time_ns: int) -> None:
         if self._parameters.tracking.enabled:

@@ -75,7 +75,10 @@ class OutlineSearch:
             if lens is not None:
                 ideal = [lens.ideal_pixels(each) for each in chosen]
                 chosen = [xy for xy, valid in ideal if valid.all()]
-            outline = reference.outline_template.astype(np.float32)
+            # Of a board the paper, with the white that its template has.
+            width, height = reference.size
+            right, bottom = width - 0.5, height - 0.5
+            outline = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]], np.float32)
             places[reference.name] = [
                 np.asarray(cv2.getPerspectiveTransform(outline, each.astype(np.float32)), np.float64) for each in chosen
             ]

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import cv2
+import numpy as np
+
 from imgu_ros.build_cache import BuildCache
 from imgu_ros.config.components import DetectionParameters
 from imgu_ros.detect.frame_context import FrameContext
@@ -14,8 +17,11 @@ from imgu_ros.pose.planar_pose import distorting_camera
 from imgu_ros.reasons import NOT_IN_VIEW
 from imgu_ros.reference.pattern import PatternReference
 from imgu_ros.result import ReferenceResult, Stage, Status
-from imgu_ros.types import Matrix3, Points
+from imgu_ros.types import Floats, Image, Matrix3, Points
 from imgu_ros.vision.projective.fit import fit_homography
+
+#: Share of the places of one more row of dots that are dark where there is one, and bright between.
+_GOES_ON = 0.6
 
 
 class PatternDetector:
@@ -59,11 +65,32 @@ class PatternDetector:
 def _starts(context: FrameContext, reference: PatternReference) -> list[Matrix3]:
     """Return H_image_template, ideal px, of each turn of a grid that is found."""
     seen, lens = reference.found_in(context.image.grey), distorting_camera(context.frame.camera)
-    if seen is None:
+    points, columns = reference.grid
+    if seen is None or (reference.has_dots and _goes_on(context.image.grey, seen.reshape(-1, columns, 2))):
         return []
     if lens is not None:
         seen, valid = lens.ideal_pixels(seen)
         if not valid.all():
             return []
-    points, _ = reference.grid
     return [fit_homography(points, each).H for each in reference.turned(seen)]
+
+
+def _goes_on(grey: Image, seen: Points) -> bool:
+    """Return whether dots (R, C, 2) px are a part of a larger grid: one more row or column of dark dots is there."""
+    for grid in (seen, seen[::-1], np.swapaxes(seen, 0, 1), np.swapaxes(seen, 0, 1)[::-1]):
+        # A shifted row is like the second one before it.
+        beyond = grid[1] - (grid[2] - grid[0])
+        dark, bright = np.median(_sampled(grey, grid[0])), np.median(_sampled(grey, (grid[0][1:] + grid[0][:-1]) / 2))
+        in_view = ((beyond > 0) & (beyond < np.array(grey.shape[::-1]) - 1)).all(axis=1)
+        if np.count_nonzero(in_view) < 2:
+            continue
+        beyond, middle = beyond[in_view], (dark + bright) / 2
+        is_dark, is_bright = _sampled(grey, beyond) < middle, _sampled(grey, (beyond[1:] + beyond[:-1]) / 2) > middle
+        if min(np.mean(is_dark), np.mean(is_bright)) > _GOES_ON:
+            return True
+    return False
+
+
+def _sampled(grey: Image, xy: Points) -> Floats:
+    at = xy.astype(np.float32)[None]
+    return np.asarray(cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0], np.float64)

@@ -17,7 +17,8 @@ from imgu_ros.reference.marker_layout import MarkerLayout
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.self_similarity import Copy
 from imgu_ros.types import Image, Points
-from imgu_ros.vision.markers import find_chessboard, find_dots
+from imgu_ros.vision.camera.chessboard import Chessboard, find_chessboard
+from imgu_ros.vision.camera.dot_grid import find_dots
 
 
 class PatternImage(BoardImage):
@@ -57,6 +58,11 @@ class PatternReference(MarkerReference):
         return isinstance(other, PatternReference) and self.image.layout == other.image.layout
 
     @property
+    def has_dots(self) -> bool:
+        """Whether it is a grid of dots."""
+        return isinstance(self.image.layout, DotLayout)
+
+    @property
     def _is_shifted(self) -> bool:
         return isinstance(self.image.layout, DotLayout) and self.image.layout.is_shifted
 
@@ -80,7 +86,8 @@ class PatternReference(MarkerReference):
         rows = len(points) // columns
         if isinstance(layout, DotLayout):
             return find_dots(grey, columns, rows, layout.is_shifted)
-        return find_chessboard(grey, columns, rows)
+        # In OpenCV 4 the quick detector takes seconds where there is none.
+        return find_chessboard(grey, Chessboard(columns, rows, 1.0), quick=False)
 
     def turned(self, seen: Points) -> Sequence[Points]:
         """Return the orders in which points of `grid` may have been seen, (N, 2), of a grid seen from its front."""

@@ -134,7 +134,7 @@ def test_a_marker_belongs_to_one_target(tmp_path: Path) -> None:
         ("markers: [{id: 3, size: 0.1}]", r"markers\[0\]: no family; need family, id, size"),
         ("markers: [7]", r"markers\[0\]: '7'; need family"),
         ("markers: [{family: aruco_original, id: 1023, size: 0.1}]", "turned, it looks like itself"),
-        (TWO.replace("x: 0.2", "x: 400"), "400.075 m wide: cells of its smallest marker would have 0.12 px"),
+        (TWO.replace("x: 0.2", "x: 400"), "400.075 m wide: cells of its smallest detail would have 0.12 px"),
         ("charuco: {family: aruco_4x4_50, columns: 5, rows: 7, square: 0.03, size: 0.03}", "charuco.size: 0.03"),
         ("charuco: {family: aruco_4x4_50, columns: 50, rows: 7, square: 0.03, size: 0.02}", "no such id; need 0 to 49"),
         ("charuco: {family: aruco_4x4_50, columns: 5, rows: 7, square: 0.03, size: 0.02, legacy: 2}", "true or false"),

@@ -46,6 +46,7 @@ from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.decomposition import CameraParts, decompose_projection, rq
 from imgu_ros.vision.camera.distortion import DistortedPoints, distort, distort_with_derivatives, fold_radius, undistort
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
+from imgu_ros.vision.camera.dot_grid import find_dots
 from imgu_ros.vision.camera.euler import EulerOrder, euler_angles, from_euler
 from imgu_ros.vision.camera.homography_pose import poses_about_point, poses_of_homography
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
@@ -123,6 +124,7 @@ __all__ = [
     "exp_so3",
     "factor_of",
     "find_chessboard",
+    "find_dots",
     "finite_camera",
     "fit_pose",
     "fit_projection",

@@ -18,6 +18,7 @@ from imgu_ros.vision.camera.correspondences import as_correspondences
 from imgu_ros.vision.camera.decomposition import decompose_projection, rq
 from imgu_ros.vision.camera.distortion import distort, distort_with_derivatives, fold_radius, undistort
 from imgu_ros.vision.camera.distortion_model import DistortionModel, as_coefficients, as_distortion_model
+from imgu_ros.vision.camera.dot_grid import find_dots
 from imgu_ros.vision.camera.euler import euler_angles, from_euler
 from imgu_ros.vision.camera.intrinsics import Camera, make_camera
 from imgu_ros.vision.camera.planar_pose import planar_pose_starts, planar_poses
@@ -202,6 +203,7 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     board_turns: lambda rng: {"board_xy": BOARD.corners()},
     calibrate: lambda rng: {"board_xy": BOARD.corners(), "views": board_views(rng), "width": 640, "height": 480},
     find_chessboard: lambda rng: {"grey": picture(rng), "board": BOARD},
+    find_dots: lambda rng: {"image": picture(rng), "columns": 4, "rows": 5, "is_shifted": bool(rng.integers(2))},
 }
 
 #: A lens model without a fold.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chessboards and grids of dots in an image, by OpenCV's detectors (Duda & Frese 2018; `findCirclesGrid`)."""
+"""The dots of a calibration board in a picture, by OpenCV's `findCirclesGrid`."""
 
 from __future__ import annotations
 
@@ -18,30 +18,6 @@ _FEWEST, _MOST = 3, 100
 _SMALLEST_PX2, _LARGEST_PX2, _APART_PX = 12.0, 20_000.0, 3.0
 #: Thresholds at which dots are sought, and how convex they are at least.
 _THRESHOLDS, _CONVEX = (10.0, 240.0, 10.0), 0.8
-
-
-def find_chessboard(image: Image, columns: int, rows: int) -> Points | None:
-    """Return the inner corners of a chessboard that is wholly in view, row by row; None: there is none.
-
-    Which corner is the first one, and whether rows run to the right, is not told.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-    columns, rows : number of inner corners along its sides, 3 to 100
-
-    Returns
-    -------
-    (rows * columns, 2) px
-
-    Raises
-    ------
-    ShapeError
-        If the image is no such array, or the numbers are none of these.
-    """
-    image, size = as_image(image, "image", dtypes=(np.uint8,)), _size(columns, rows)
-    found, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    return _points(found, corners, size)
 
 
 def find_dots(image: Image, columns: int, rows: int, is_shifted: bool = False) -> Points | None:
@@ -69,9 +45,13 @@ def find_dots(image: Image, columns: int, rows: int, is_shifted: bool = False) -
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if is_shifted else cv2.CALIB_CB_SYMMETRIC_GRID
     # A grid that is seen obliquely is found by its clusters, one among other dark spots without.
     for flags in (kind | cv2.CALIB_CB_CLUSTERING, kind):
-        found, centres = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=_blob_detector())
-        if found:
-            return _points(found, centres, size)
+        try:
+            found, centres = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=_blob_detector())
+        except cv2.error:
+            continue  # some pictures trip its own assertions
+        points = np.asarray(centres if found and centres is not None else (), np.float64)
+        if points.size == 2 * size[0] * size[1] and np.isfinite(points).all():
+            return points.reshape(-1, 2)
     return None
 
 
@@ -80,12 +60,6 @@ def _size(columns: int, rows: int) -> tuple[int, int]:
     if not all(_FEWEST <= side <= _MOST for side in size):
         raise ShapeError(f"columns, rows: {size[0]}, {size[1]}; need {_FEWEST} to {_MOST}")
     return size
-
-
-def _points(found: bool, points: Any, size: tuple[int, int]) -> Points | None:
-    if not found or points is None or len(points) != size[0] * size[1]:
-        return None
-    return np.asarray(points, np.float64).reshape(-1, 2)
 
 
 def _blob_detector() -> Any:
