@@ -20,14 +20,14 @@ _SMALLEST_PX2, _LARGEST_PX2, _APART_PX = 12.0, 20_000.0, 3.0
 _THRESHOLDS, _CONVEX = (10.0, 240.0, 10.0), 0.8
 
 
-def find_dots(image: Image, columns: int, rows: int, is_shifted: bool = False) -> Points | None:
+def find_dots(grey: Image, columns: int, rows: int, is_shifted: bool = False) -> Points | None:
     """Return the centres of dark dots on a grid that is wholly in view, row by row; None: there is none.
 
     Which dot is the first one, and whether rows run to the right, is not told.
 
     Parameters
     ----------
-    image : (H, W) uint8
+    grey : (H, W) uint8
     columns, rows : number of dots in a row, and of rows, 3 to 100
     is_shifted : every other row is shifted by half the distance of dots in a row
 
@@ -40,13 +40,13 @@ def find_dots(image: Image, columns: int, rows: int, is_shifted: bool = False) -
     ShapeError
         If the image is no such array, or the numbers are none of these.
     """
-    image, size = as_image(image, "image", dtypes=(np.uint8,)), _size(columns, rows)
+    grey, size = as_image(grey, "grey", dtypes=(np.uint8,)), _size(columns, rows)
     is_shifted = as_flag(is_shifted, "is_shifted")
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if is_shifted else cv2.CALIB_CB_SYMMETRIC_GRID
     # A grid that is seen obliquely is found by its clusters, one among other dark spots without.
     for flags in (kind | cv2.CALIB_CB_CLUSTERING, kind):
         try:
-            found, centres = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=_blob_detector())
+            found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=_blob_detector())
         except cv2.error:
             continue  # some pictures trip its own assertions
         points = np.asarray(centres if found and centres is not None else (), np.float64)

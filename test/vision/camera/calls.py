@@ -131,6 +131,14 @@ def best_of(plane_xy: np.ndarray, pixels: np.ndarray, noise_px: float, correlati
     return planar_poses(plane_xy, pixels, camera(), noise_px, correlation)
 
 
+def dots(rng: np.random.Generator) -> np.ndarray:
+    """A grid of 5 x 4 dots on noise."""
+    row, column = np.indices((120, 150))
+    away = np.hypot((column + 15) % 30 - 15, (row + 15) % 30 - 15)
+    inside = (np.abs(column - 75) < 74) & (np.abs(row - 60) < 59) & (away < 8) & (column > 15) & (row > 15)
+    return np.where(inside, 40, 220).astype(np.uint8) + rng.integers(0, 20, row.shape, np.uint8)
+
+
 CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     intrinsic_matrix: lambda rng: {"width": 640, "height": 480, "angle_of_view_rad": 1.2},
     intrinsic_matrix_of_lens: lambda rng: {"width": 640, "height": 480, "focal_length_m": 4e-3, "pixel_m": 5e-6},
@@ -203,7 +211,7 @@ CALLS: dict[Callable[..., Any], Callable[[Generator], dict[str, Any]]] = {
     board_turns: lambda rng: {"board_xy": BOARD.corners()},
     calibrate: lambda rng: {"board_xy": BOARD.corners(), "views": board_views(rng), "width": 640, "height": 480},
     find_chessboard: lambda rng: {"grey": picture(rng), "board": BOARD},
-    find_dots: lambda rng: {"image": picture(rng), "columns": 4, "rows": 5, "is_shifted": bool(rng.integers(2))},
+    find_dots: lambda rng: {"grey": dots(rng), "columns": 5, "rows": 4, "is_shifted": False},
 }
 
 #: A lens model without a fold.
