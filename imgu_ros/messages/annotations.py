@@ -66,6 +66,12 @@ def annotations_message(make: MessageFactory, header: Header, result: Result) ->
     return message
 
 
+def decode_inliers(message: Any) -> Points:
+    """Read a message of `annotations_message`: the inliers of all targets, (N, 2) raw px."""
+    parts = [part.points for part in message.points if part.type == _POINTS]
+    return np.array([(point.x, point.y) for points in parts for point in points], np.float64).reshape(-1, 2)
+
+
 def label(found: ReferenceResult) -> str:
     """Return a target's name with its distance, or with what became of its pose."""
     name = shown(found.name, NAME_CHARACTERS)

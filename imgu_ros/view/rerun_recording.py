@@ -18,7 +18,7 @@ import rerun as rr
 
 from imgu_ros.errors import FileError
 from imgu_ros.file_access.atomic_files import file_errors, part_path
-from imgu_ros.messages.annotations import STATUS_COLORS
+from imgu_ros.messages.annotations import INLIER_COLOR, STATUS_COLORS
 from imgu_ros.report.samples import jpeg_of
 from imgu_ros.result import Status
 from imgu_ros.shown_text import shown
@@ -33,7 +33,7 @@ from imgu_ros.vision.camera.rotation import quaternion
 _LONGEST_SIDE, _QUALITY = 1280, 80
 #: Of lines and points over pictures; Rerun's negative radii are in points of the screen, whatever the zoom.
 _LINE_RADIUS = -1.5
-_KEYPOINT_COLOR = (255, 230, 60)
+_KEYPOINT_COLOR = (190, 190, 190)
 _PATH_COLOR = (0, 114, 178)
 _ELLIPSOID_COLOR = (230, 159, 0)
 #: Okabe & Ito 2008.
@@ -208,10 +208,14 @@ class _Writer:
             points = (np.vstack((outline, outline[:1])) + 0.5) * scale
             color = STATUS_COLORS[statuses.get(name, Status.DETECTED)]
             self._stream.log(entity, rr.LineStrips2D([points], colors=[color], radii=_LINE_RADIUS))
-        if frame.overlay.keypoints is not None:
-            points = (frame.overlay.keypoints + 0.5) * scale
-            keypoints = rr.Points2D(points, colors=[_KEYPOINT_COLOR], radii=_LINE_RADIUS)
-            self._stream.log(f"{OVERLAY}/keypoints", keypoints)
+        overlay = frame.overlay
+        for entity, places, color in (
+            ("inliers", overlay.inliers, INLIER_COLOR),
+            ("keypoints", overlay.keypoints, _KEYPOINT_COLOR),
+        ):
+            if places is not None:
+                dots = rr.Points2D((places + 0.5) * scale, colors=[color], radii=_LINE_RADIUS)
+                self._stream.log(f"{OVERLAY}/{entity}", dots)
 
     def _write_target(self, index: int, target: SeenTarget) -> None:
         if target.name not in self._ways:

@@ -17,6 +17,7 @@ from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import EncodingError, FileError, ImguError, ParameterError
 from imgu_ros.file_access.bounded_reading import file_bytes
 from imgu_ros.files.frames_csv import C_COLUMNS, Q_COLUMNS, T_COLUMNS, read_rows
+from imgu_ros.messages.annotations import decode_inliers
 from imgu_ros.messages.features import decode_keypoints
 from imgu_ros.messages.geometry import decode_outline
 from imgu_ros.replay.result_files import FRAMES, RESULTS, SUMMARY
@@ -27,6 +28,7 @@ from imgu_ros.vision.camera.rigid import rigid_transform
 
 #: A summary of a hundred targets has 200 kB.
 _MOST_SUMMARY_BYTES = 50_000_000
+_NO_POINTS: Points = np.zeros((0, 2))
 #: What frames are read and developed with: other parameters of another version may no longer exist.
 _NEEDED_GROUPS = ("camera", "raw", "demosaic", "frames", "limits")
 
@@ -73,9 +75,17 @@ class SeenTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameOverlay:
-    """What the results bag has to draw over a frame, raw px: outlines by target; keypoints where they were recorded."""
+    """What the results bag has to draw over a frame, raw px.
+
+    Attributes
+    ----------
+    outlines : of each target that was found, by name
+    inliers : points that agree with them
+    keypoints : None: they were not recorded
+    """
 
     outlines: Mapping[str, Points]
+    inliers: Points
     keypoints: Points | None
 
 
@@ -141,7 +151,7 @@ def seen_frames(results: ReplayResults) -> Generator[SeenFrame]:
     """
     overlays = _overlays(results)
     for rows in _rows_of_frames(results.folder / FRAMES):
-        overlay = next(overlays, FrameOverlay({}, None))
+        overlay = next(overlays, FrameOverlay({}, _NO_POINTS, None))
         try:
             yield SeenFrame(int(rows[0]["stamp_ns"]), tuple(map(_seen, rows)), overlay)
         except (ValueError, ImguError) as error:
@@ -185,22 +195,23 @@ def _number(text: str) -> float | None:
 def _overlays(results: ReplayResults) -> Iterator[FrameOverlay]:
     """Yield what the results bag has of each frame: it has one status for every frame, before what is drawn."""
     outlines = {f"/targets/{name}/outline": name for name in results.targets}
-    topics = ["/status", "/keypoints", *outlines]
     found: dict[str, Points] = {}
-    keypoints: Points | None = None
+    inliers, keypoints = _NO_POINTS, None
     is_first = True
     with open_bag([results.folder / RESULTS], limits=results.parameters.limits) as bag:
-        for message in bag.messages(topics):
+        for message in bag.messages(["/status", "/annotations", "/keypoints", *outlines]):
             if message.topic == "/status":
                 if not is_first:
-                    yield FrameOverlay(found, keypoints)
-                found, keypoints, is_first = {}, None, False
+                    yield FrameOverlay(found, inliers, keypoints)
+                found, inliers, keypoints, is_first = {}, _NO_POINTS, None, False
             elif message.topic in outlines:
                 found[outlines[message.topic]] = decode_outline(message.message)
+            elif message.topic == "/annotations":
+                inliers = decode_inliers(message.message)
             else:
                 keypoints = _keypoint_places(message.message)
     if not is_first:
-        yield FrameOverlay(found, keypoints)
+        yield FrameOverlay(found, inliers, keypoints)
 
 
 def _keypoint_places(message: Any) -> Points | None:

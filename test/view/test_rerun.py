@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import shutil
@@ -11,9 +12,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from imgu_ros.bags.messages import make_message
+from imgu_ros.bags.reading import open_bag
+from imgu_ros.bags.writing import BagWriter
 from imgu_ros.cli.main import main
+from imgu_ros.config.files import read_parameter_file
+from imgu_ros.config.values import parameters_from
 from imgu_ros.errors import FileError
 from imgu_ros.files.frames_csv import read_rows
+from imgu_ros.replay.recording import record_simulation
+from imgu_ros.replay.replay import replay
+from imgu_ros.simulate.sequence import Simulation, default_targets
 from imgu_ros.view.view import view_with_rerun
 
 pytest.importorskip("rerun")
@@ -65,6 +74,18 @@ def test_pictures_outlines_keypoints_and_curves(replayed: tuple[Path, Path], rec
             curve = [values["Scalars:scalars"][0] for frame, values in points if frame is not None]
             assert curve == [float(row[column]) for row in rows]
     assert len(recorded["/world/camera/image/results/keypoints"]) == 8
+    for frame, values in recorded["/world/camera/image/results/inliers"]:
+        rows = list(read_rows(replayed[1] / "frames.csv"))[2 * frame : 2 * frame + 2]
+        points = np.array(values["Points2D:positions"])
+        assert 20 < len(points) <= sum(float(row["n_matches"]) for row in rows)
+        # They lie on the targets of the same frame.
+        inside = np.zeros(len(points), bool)
+        for target in ("poster", "poster_2"):
+            ((_, drawn),) = [one for one in recorded[f"/world/camera/image/results/{target}"] if one[0] == frame]
+            corners = np.array(drawn["LineStrips2D:strips"][0])
+            edges, sides = np.diff(corners, axis=0), points[:, None] - corners[:-1]
+            inside |= (edges[:, 0] * sides[..., 1] - edges[:, 1] * sides[..., 0] > -300).all(axis=1)
+        assert inside.all()
 
 
 def test_outline_is_where_the_pinhole_camera_projects_the_target(recorded: Recorded) -> None:
@@ -186,3 +207,37 @@ def test_what_is_no_result(
 def test_place_that_cannot_be_written(replayed: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(FileError, match="can be written"):
         view_with_rerun(replayed[1], tmp_path / "no" / "view.rrd")
+
+
+def test_frames_without_a_find(tmp_path: Path) -> None:
+    """Frames 3 and 4 are dark: nothing of the frames before is left over them, and it is said why."""
+    recording, results = tmp_path / "recording", tmp_path / "results"
+    record_simulation(tmp_path / "whole", Simulation(width=320, height=240, frames=7), targets=default_targets(1, 0))
+    with open_bag([tmp_path / "whole"]) as bag, BagWriter(recording) as writer:
+        count = 0
+        for message in bag.messages():
+            data = dataclasses.asdict(message.message) | {"header": message.message.header}
+            data.pop("__msgtype__", None)
+            if message.topic == "/camera/image_raw":
+                data["data"] = np.asarray(data["data"]) * np.uint8(count not in (3, 4))
+                count += 1
+            else:
+                data["roi"] = message.message.roi
+            writer.write(message.topic, make_message(message.type_name, **data), message.time_ns)
+    replay([recording], results, parameters_from(read_parameter_file(tmp_path / "whole" / "params.yaml")))
+    view_with_rerun(results)
+    found = read(results / "view.rrd")
+    states = {frame: values["StateChange:state"][0] for frame, values in found["/status/poster"] if frame is not None}
+    assert states[3] == "lost" and 4 not in states and states[5] in ("tracked", "detected")
+    outlines = dict(found["/world/camera/image/results/poster"])
+    assert all(("LineStrips2D:strips" in values) is (frame not in (3, 4)) for frame, values in outlines.items())
+    assert all("Clear:is_recursive" in outlines[frame] for frame in (3, 4))
+    assert {frame for frame, _ in found["/world/camera"]} == {0, 1, 2, 5, 6}
+    seen = found["/world/camera/image"]
+    colors = {frame: values["Pinhole:color"][0] for frame, values in seen if "Pinhole:color" in values}
+    assert colors[0] == colors[5] != colors[3]
+    (reason,) = [values["TextLog:text"][0] for frame, values in found["/log/poster"] if frame == 3]
+    assert reason.startswith("lost: ")
+    # The path is in two parts: nothing joins where the target was lost.
+    ((_, path),) = found["/world/results/poster/path"]
+    assert [len(strip) for strip in path["LineStrips3D:strips"]] == [3, 2]
