@@ -16,6 +16,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -116,6 +117,38 @@ def test_manifest_is_one_that_the_index_takes(manifest: ElementTree.Element) -> 
     assert {item.get("type") for item in manifest.findall("url")} == {"website", "repository", "bugtracker"}
     for maintainer in manifest.findall("maintainer"):
         assert re.fullmatch(r"[\w.-]+@[\w-]+(\.[\w-]+)+", maintainer.get("email", ""))
+
+
+def test_the_citation_is_of_this_version(manifest: ElementTree.Element) -> None:
+    """The form was validated by cffconvert, schema 1.2.0."""
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == manifest.findtext("version")
+    assert citation["license"] == manifest.findtext("license")
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+
+
+def test_the_rosdoc2_configuration_names_what_exists(manifest: ElementTree.Element) -> None:
+    name = manifest.findtext("export/rosdoc2")
+    head, settings = yaml.safe_load_all((REPOSITORY / str(name)).read_text(encoding="utf-8"))
+    assert head == {"type": "rosdoc2 config", "version": 1}
+    (builder,) = settings["builders"]
+    assert (REPOSITORY / settings["settings"]["python_source"] / "__init__.py").exists()
+    assert (REPOSITORY / builder["sphinx"]["user_doc_dir"] / "index.md").exists()
+
+
+def test_the_dockerfile_is_shell_and_installs_what_has_no_key() -> None:
+    """It cannot be built here: no container engine."""
+    text = (REPOSITORY / "docker" / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
+    commands = re.findall(r"^RUN (.*)$", text, re.MULTILINE)
+    assert len(commands) >= 3
+    for command in commands:
+        done = subprocess.run(["sh", "-n", "-c", command], capture_output=True, text=True, timeout=30)
+        assert (done.returncode, done.stderr) == (0, ""), command
+    for source in re.findall(r"^COPY (\S+) ", text, re.MULTILINE):
+        assert (REPOSITORY / source).exists()
+    by_pip = {canonicalize_name(Requirement(line).name) for line in re.findall(r'"([\w.-]+>=[^"]*)"', text)}
+    without_key = {name for name, key in DISTRIBUTIONS.values() if not key} - {"markupsafe"}  # which comes with jinja2
+    assert by_pip == without_key
 
 
 def test_every_module_and_data_file_is_installed(arguments: dict[str, Any]) -> None:
