@@ -28,6 +28,8 @@ from imgu_ros.vision.camera.rigid import rigid_transform
 
 #: A summary of a hundred targets has 200 kB.
 _MOST_SUMMARY_BYTES = 50_000_000
+_OUTLINE = "geometry_msgs/msg/PolygonStamped"
+_TYPES = {"/annotations": "foxglove_msgs/msg/ImageAnnotations", "/keypoints": "sensor_msgs/msg/PointCloud2"}
 _NO_POINTS: Points = np.zeros((0, 2))
 #: What frames are read and developed with: other parameters of another version may no longer exist.
 _NEEDED_GROUPS = ("camera", "raw", "demosaic", "frames", "limits")
@@ -204,14 +206,22 @@ def _overlays(results: ReplayResults) -> Iterator[FrameOverlay]:
                 if not is_first:
                     yield FrameOverlay(found, inliers, keypoints)
                 found, inliers, keypoints, is_first = {}, _NO_POINTS, None, False
+            elif message.type_name != _TYPES.get(message.topic, _OUTLINE):
+                continue  # of somebody else
             elif message.topic in outlines:
-                found[outlines[message.topic]] = decode_outline(message.message)
+                outline = decode_outline(message.message)
+                if len(outline) and np.isfinite(outline).all():
+                    found[outlines[message.topic]] = outline
             elif message.topic == "/annotations":
-                inliers = decode_inliers(message.message)
+                inliers = _finite(decode_inliers(message.message))
             else:
                 keypoints = _keypoint_places(message.message)
     if not is_first:
         yield FrameOverlay(found, inliers, keypoints)
+
+
+def _finite(points: Points) -> Points:
+    return np.asarray(points[np.isfinite(points).all(axis=1)])
 
 
 def _keypoint_places(message: Any) -> Points | None:
@@ -219,4 +229,4 @@ def _keypoint_places(message: Any) -> Points | None:
         keypoints, _ = decode_keypoints(message)
     except EncodingError:
         return None
-    return keypoints.xy
+    return _finite(keypoints.xy)

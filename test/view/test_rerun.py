@@ -204,6 +204,28 @@ def test_what_is_no_result(
     assert not list(results.glob("*view.rrd*"))
 
 
+def test_results_bag_of_a_stranger(replayed: tuple[Path, Path], tmp_path: Path) -> None:
+    """Other types under the names of our topics, and numbers that are none: left out, and all else is shown."""
+    results = tmp_path / "results"
+    shutil.copytree(replayed[1], results)
+    shutil.rmtree(results / "results")
+    points = [make_message("geometry_msgs/msg/Point32", x=x, y=1.0, z=0.0) for x in (1.0, float("nan"), 2.0, 1e30)]
+    outline = make_message("geometry_msgs/msg/PolygonStamped")
+    outline.polygon.points += points
+    text = make_message("std_msgs/msg/String", data="x")
+    with BagWriter(results / "results") as writer:
+        for number in range(8):
+            writer.write("/status", text, number)
+            writer.write("/targets/poster/outline", outline, number)
+            for topic in ("/keypoints", "/annotations", "/targets/poster_2/outline"):
+                writer.write(topic, text, number)
+    view_with_rerun(results)
+    found = read(results / "view.rrd")
+    for target in ("poster", "poster_2"):
+        assert not any("LineStrips2D:strips" in one for _, one in found[f"/world/camera/image/results/{target}"])
+    assert len(found["/world/camera"]) == 8
+
+
 def test_place_that_cannot_be_written(replayed: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(FileError, match="can be written"):
         view_with_rerun(replayed[1], tmp_path / "no" / "view.rrd")
