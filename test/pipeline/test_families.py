@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 import pytest
-from marker_scenes import error_m, exposed, placed, put, scene
+from marker_scenes import error_m, exposed, placed, put, put_sheet, scene, sheet
 
 from imgu_ros.config.parameters import TargetsParameters
 from imgu_ros.config.values import parameters_from
@@ -16,6 +16,7 @@ from imgu_ros.files.target_images import load_target_images
 from imgu_ros.frame import Frame
 from imgu_ros.localizer import Localizer
 from imgu_ros.reference import family
+from imgu_ros.reference.marker_layout import PlacedMarker
 from imgu_ros.reference_kinds import make_references
 from imgu_ros.result import Status
 from imgu_ros.types import Floats
@@ -110,3 +111,19 @@ def test_a_marker_that_cannot_be_told_from_others_is_none() -> None:
     (image,) = load_target_images(TargetsParameters(images=("aruco_original:*",)))
     assert isinstance(image, family.FamilyImage)
     assert image.has(5) and not image.has(1023)
+
+
+def test_while_many_are_tracked_one_more_is_found_at_once() -> None:
+    """Fewer wait for the next search."""
+    own, few = localizer("tag36h11:*"), localizer("tag36h11:*")
+    statuses = []
+    for index in range(2):
+        for each, known in ((own, 13), (few, 5)):
+            ids = range(known + index)
+            markers = [PlacedMarker("tag36h11", i, 0.05, 0.075 * (i % 5 - 2), 0.075 * (1 - i // 5)) for i in ids]
+            R, t = placed(0.0, 0.002 * index, 0.7, 25, 5)
+            light = scene()
+            put_sheet(light, *sheet(markers), R, t)
+            found = each.process(exposed(light, seed=index, index=index))
+            statuses.append(sum(one.status.found for one in found))
+    assert statuses == [13, 5, 14, 5]
