@@ -101,7 +101,7 @@ def test_a_good_replay(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     captured = capsys.readouterr()
     assert re.search(r"found / frames +2 / 2\n", captured.out)
     assert re.search(r"corner error px, p50 / p95 +0\.\d+ / 0\.\d+\n", captured.out)
-    assert captured.err == "replay: 2 of 2 frames\n"
+    assert re.fullmatch(r"replay: 2 of 2 frames, [\d.]+ a second\n", captured.err)
     assert captured.out.rstrip().endswith(str(out / "report.html"))
     names = {path.name for path in out.iterdir()}
     hidden = {name for name in names if name.startswith(".")}
