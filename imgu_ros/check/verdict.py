@@ -18,6 +18,7 @@ from imgu_ros.detect.rivals import Rivals
 from imgu_ros.errors import ImguError
 from imgu_ros.reference.bundle import BundleImage
 from imgu_ros.reference.family import FamilyImage
+from imgu_ros.reference.marker import MarkerImage
 from imgu_ros.reference.reference import Reference
 from imgu_ros.reference.templates import TargetImage
 from imgu_ros.reference_kinds import make_references
@@ -171,7 +172,8 @@ def target_scores(images: Sequence[TargetImage], parameters: Parameters) -> dict
     parameters : of the pipeline
     """
     parameters = _for_trials(parameters)
-    known = [replace(image, width_m=image.width_m or 1.0) for image in images if not isinstance(image, BundleImage)]
+    planar = [part for image in images if not isinstance(image, BundleImage) for part in _parts_of(image)]
+    known = [replace(image, width_m=image.width_m or 1.0) for image in planar]
     scores = {}
     for image, reference in zip(known, make_references(known, parameters, BuildCache()), strict=True):
         try:
@@ -210,6 +212,9 @@ def _checked(
     sizes = _sizes(smallest, min(camera.width, camera.height))
     errors = expected_errors(reference, views, parameters, sizes)
     reasons = (*reasons_of(traits, has_code=bool(reference.codes)), *_of_views(curve, errors))
+    if isinstance(image, MarkerImage):
+        # It is drawn at any size: no file has its pixels.
+        reasons = tuple(reason for reason in reasons if reason.kind is not ReasonKind.FEW_PIXELS)
     reasons += (*_transparent(notes), *_alike(alike))
     return TargetCheck(image.name, entry, image, score_of(curve), reasons, traits, curve, errors, image.width_m, alike)
 

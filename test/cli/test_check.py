@@ -109,6 +109,17 @@ def test_json_has_every_number(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert marker["reasons"] == []
 
 
+def test_a_chessboard_and_a_family(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a family one marker stands for all; a board is drawn at any size."""
+    (tmp_path / "wall.yaml").write_text("chessboard: {columns: 9, rows: 6, square: 0.02}", encoding="utf-8")
+    path = tmp_path / "check.json"
+    assert check(tmp_path / "wall.yaml", "tag36h11:*", "--width-m", 0.18, "--json", path) == 0
+    capsys.readouterr()
+    wall, family = json.loads(path.read_text())["targets"]
+    assert wall["entry"].endswith("wall.yaml") and "few_pixels" not in {each["kind"] for each in wall["reasons"]}
+    assert (family["name"], family["entry"], family["reasons"]) == ("tag36h11", "tag36h11:*", [])
+
+
 def test_json_on_stdout_stands_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     check(folder / "turned.png", "--json", "-")
     (target,) = json.loads(capsys.readouterr().out)["targets"]
