@@ -128,10 +128,20 @@ class VideoFile:
         try:
             container: InputContainer = av.open(str(self._path))
         except (av.error.FFmpegError, ValueError) as error:
-            raise BagError(f"{self._path}: {_one_line(error)}; need a video file that FFmpeg reads") from None
+            raise BagError(f"{self._path}: {self._why_unreadable(error)}") from None
         except OSError as error:
             raise BagError(f"{self._path}: {error.strerror or error}; need a video file") from None
         return container
+
+    def _why_unreadable(self, error: Exception) -> str:
+        try:
+            with self._path.open("rb") as file:
+                is_mp4 = file.read(12)[4:8] == b"ftyp"
+        except OSError:
+            is_mp4 = False
+        if is_mp4:  # its index is at the end
+            return f"cut or damaged ({_one_line(error)}); need the whole file: copy it again"
+        return f"{_one_line(error)}; need a video file that FFmpeg reads"
 
     def _stream(self, container: InputContainer) -> VideoStream:
         if not container.streams.video:

@@ -25,6 +25,8 @@ HELP = "calibrate a camera from views of a chessboard: a camera_info YAML with i
 
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
 _SHOWN_REASONS = 8
+#: No board has larger squares; 25 is of millimetres.
+_LARGEST_SQUARE_M = 2.0
 #: Views whose tilt differs by less are warned of.
 _LEAST_TILT_DEG = 15.0
 
@@ -262,6 +264,9 @@ def _length(text: str) -> float:
         value = 0.0
     if not 0 < value < 1000:
         raise argparse.ArgumentTypeError(f"{text!r}; need metres, such as 0.025")
+    if value > _LARGEST_SQUARE_M:
+        millimetres = f"{value:g} mm"
+        raise argparse.ArgumentTypeError(f"{text!r}; need metres: did you mean {value / 1000:g} ({millimetres})?")
     return value
 
 

@@ -69,6 +69,13 @@ def short_forms(targets: Sequence[str], widths_m: Sequence[float], camera_info: 
     return values
 
 
+def input_path(text: str) -> Path:
+    """Return the path of an input; an empty name, as of a variable that is not set, is none."""
+    if not text:
+        raise argparse.ArgumentTypeError("empty name; need a path")
+    return Path(text)
+
+
 def picture_rate(text: str) -> float:
     """Return the value of `--rate`: pictures a second."""
     try:

@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgu_ros.cli.options import add_parameter_options, parameters_of, picture_rate, short_forms
+from imgu_ros.cli.options import add_parameter_options, input_path, parameters_of, picture_rate, short_forms
 from imgu_ros.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ HELP = "run the pipeline over a recorded bag: poses, a results bag, a report"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "bags", nargs="+", type=Path, metavar="INPUT",
+        "bags", nargs="+", type=input_path, metavar="INPUT",
         help="a bag (rosbag1 file, rosbag2 folder or file), videos, or pictures (files, a folder, a pattern)",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results; made if needed")

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from typing import IO, NoReturn
 
+from imgu_ros.errors import nearest_name
 from imgu_ros.shown_text import shown
 
 
@@ -31,11 +33,13 @@ def fail(text: str) -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaints show the arguments as `shown` does."""
+    """A parser whose complaints show the arguments as `shown` does, and name the option that is nearest."""
 
     def error(self, message: str) -> NoReturn:
         """Print usage and complaint, and exit."""
-        super().error(shown(message))
+        unknown = re.match(r"unrecognized arguments: (--[^\s=]+)", message)
+        near = nearest_name(unknown[1], self._option_string_actions) if unknown else ""
+        super().error(shown(message) + (f" (did you mean {near}?)" if near else ""))
 
 
 def let_streams_print_everything() -> None:

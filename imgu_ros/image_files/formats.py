@@ -21,7 +21,8 @@ _NEED = "need a PNM, PNG, TIFF, JPEG, BMP or WebP"
 _NOT_READ = {
     "a GIF": rb"GIF8",
     "a JPEG 2000": rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51",
-    "an AVIF or HEIC": rb".{4}ftyp",
+    "an AVIF or HEIC": rb".{4}ftyp(avi[fs]|hei[cfmsx]|hev[cmsx]|mi[fa][f1]|msf1)",
+    "a video": rb".{4}(ftyp|moov|mdat|wide)|\x1aE\xdf\xa3|RIFF.{4}AVI ",
     "an OpenEXR": rb"v/1\x01",
     "a Radiance HDR": rb"#\?R",
     "a Sun raster": rb"\x59\xa6\x6a\x95",

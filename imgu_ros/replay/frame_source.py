@@ -121,12 +121,16 @@ class FrameSource:
         if frame.camera is not None:
             return frame.camera_remarks
         why = frame.camera_reason or self._why_no_camera_info(pair)
-        helps = "" if self.camera_info_file else "; a calibration file helps: -p camera.info_file:=FILE"
+        helps = (
+            ""
+            if self.camera_info_file
+            else "; a calibration file helps: --camera-info FILE, or -p camera.info_file:=FILE"
+        )
         return [f"uncalibrated: {why}; homographies, but no poses{helps}"]
 
     def _why_no_camera_info(self, pair: Pair[BagMessage, Any]) -> str:
         if self.camera_info_topic is None:
-            return f"the bag has no camera_info beside {self.image_topic.name}"
+            return f"the recording has no camera_info beside {self.image_topic.name}"
         return f"{self.camera_info_topic.name} has none for the image at {pair.stamp_ns} ns"
 
 

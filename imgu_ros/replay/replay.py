@@ -87,7 +87,9 @@ def replay(
     with HeldExitStack() as stack:
         bag = stack.enter_context(open_bag(bags, limits=parameters.limits, rate_hz=rate_hz))
         if not parameters.targets.images:
-            raise ParameterError("targets.images: none; need at least one image file, -p targets.images:=FILE")
+            raise ParameterError(
+                "targets.images: none; need at least one image file: --target FILE, or -p targets.images:=FILE"
+            )
         images = load_target_images(parameters.targets, lambda text: warnings.add([text]), limits=parameters.limits)
         targets = prepare_references(images, parameters)
         remarks = load_remarks(targets, parameters.raw.transfer != "srgb")

@@ -159,6 +159,11 @@ class _Driver:
         self._say(f"publishing {' '.join(self._options.sources)} on {topics}; Ctrl-C ends")
         if self._camera is None:
             self._say("no --camera-info: no camera_info goes out, and poses need it; `imgu calibrate` makes the file")
+        elif self._camera.covariance is not None:
+            self._say(
+                "camera_info has no place for the calibration's uncertainty: for honest poses give the node the file, "
+                f"-p camera.info_file:={self._options.camera_info}"
+            )
         with contextlib.suppress(StopRequested):
             self._wait_for_subscribers()
             spare_collector()

@@ -148,6 +148,7 @@ def test_damage_is_said_and_the_other_frames_are_there(tmp_path):
         ("text.mp4", b"hello", "Invalid data found when processing input; need a video file that FFmpeg reads"),
         ("empty.mkv", b"", "need a video file that FFmpeg reads"),
         ("gone.mov", None, "No such file or directory"),
+        ("cut.mp4", b"\0\0\0\x20ftypisom" + bytes(500), "cut or damaged .*; need the whole file: copy it again"),
     ],
 )
 def test_what_is_no_video_is_one_line(tmp_path, name, content, said):
