@@ -26,8 +26,6 @@ from imgu_ros.vision.formation.layout import RawImage
 _KEPT_FOR_HINT = 2
 #: Of a bag's pictures in which the quick detector finds nothing, one in so many goes through the slow one.
 _THOROUGH_EVERY = 5
-#: After so many pictures without the board, the usual slip is looked for: squares counted instead of inner corners.
-_SUSPICIOUS = 5
 _NO_BOARD = "no board found"
 
 
@@ -133,8 +131,6 @@ def find_board_views(
                 refused.append(RefusedPicture(picture.name, _NO_BOARD))
                 if index & (index - 1) == 0:  # 0, 1, 2, 4, 8, ...: spread over a recording of any length
                     kept = [*kept, picture.grey][-_KEPT_FOR_HINT:]
-                if misses == _SUSPICIOUS and not found and _counts_squares(kept, board):
-                    raise TooFewPoints(_other_found(misses, board, Chessboard(board.columns - 1, board.rows - 1, 1.0)))
             else:
                 height, width = picture.grey.shape
                 found.append(BoardView(picture.name, width, height, corners))
@@ -196,24 +192,8 @@ def _nothing_found(
     start = f"board: no {board.columns}x{board.rows} board found in {len(refused)} pictures"
     other = _other_size(kept, board, on_trial)
     if other is not None:
-        return _other_found(len(refused), board, other)
+        return f"{start}, but a {other.columns}x{other.rows} one; need --board with the number of inner corners"
     return f"{start}; need pictures of the whole board, sharp, with a white margin; --board counts inner corners"
-
-
-def _counts_squares(kept: list[Image], board: Chessboard) -> bool:
-    """Return whether the pictures show a board with one corner less each way."""
-    if min(board.columns, board.rows) <= FEWEST_CORNERS:
-        return False
-    smaller = Chessboard(board.columns - 1, board.rows - 1, board.square_m)
-    # A part of a board that is larger than asked for looks like it too: the whole was not found in any.
-    return any(find_chessboard(grey, smaller, quick=False) is not None for grey in kept)
-
-
-def _other_found(pictures: int, board: Chessboard, other: Chessboard) -> str:
-    sizes = (
-        f"no {board.columns}x{board.rows} board found in {pictures} pictures, but a {other.columns}x{other.rows} one"
-    )
-    return f"board: {sizes}; need --board with the number of inner corners"
 
 
 def _other_size(kept: list[Image], board: Chessboard, on_trial: Callable[[int, int | None], None]) -> Chessboard | None:

@@ -153,8 +153,8 @@ def _described(table: FrameTable) -> Iterator[tuple[str, str, str, Sequence[_Qua
         )  # fmt: skip
     yield "Residual", "px rms", "Of the points that agree, per coordinate; no error.", [("", table.rms_px, False)]
     yield (
-        "Points that agree", "", "Inliers of the final fit; dashed: tentative matches.",
-        [("inliers", table.n_inliers, False), ("matches", table.n_matches, True)],
+        "Points", "", "Inliers of the final fit, which agree; dashed: tentative matches.",
+        [("inliers", table.n_inliers, False), ("tentative matches", table.n_matches, True)],
     )  # fmt: skip
     yield (
         "Confirmed share", "", "Of the target in view, what looks as it should.",

@@ -6,6 +6,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
+import re
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -35,6 +36,9 @@ _DIGITS, _DECIMALS = 4, 4
 #: The page's scripts, in order: the library of plots, and what is this page's own.
 _SCRIPTS = ("uPlot.iife.min.js", "report.js")
 _STYLES = ("uPlot.min.css", "report.css")
+
+
+_NUMBERS = re.compile(r"\s*\([^()]*\d[^()]*\)$")
 
 
 def write_report(
@@ -124,7 +128,8 @@ def page_data(curves: Curves, samples: Sequence[AnnotatedFrame]) -> dict[str, An
         ],
         "statuses": [{"name": status.value, "color": _hex(status)} for status in Status],
         "runs": [[[run.first, run.last, run.status, run.reason] for run in runs] for runs in curves.runs],
-        "reasons": [shown(reason) for reason in curves.reasons],
+        # The numbers at the end of a text are those of the first frame with it.
+        "reasons": [shown(_NUMBERS.sub("", reason)) for reason in curves.reasons],
         "paths": [[list(_numbers(column)) for column in path.T] for path in curves.paths],
         "samples": [
             {"frame": sample.index, "jpeg": base64.b64encode(sample.jpeg).decode("ascii")} for sample in samples
