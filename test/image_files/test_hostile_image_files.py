@@ -308,7 +308,7 @@ def test_bitmaps_and_transparency_take_no_more_than_is_said(tmp_path):
         "read_image(sys.argv[1])\n"
         "print((peak() - before) // 1000)\n"
     )
-    for name, most in (("a.pbm", 150), ("a.png", 85)):
+    for name, most in (("a.pbm", 150), ("a.png", 95)):  # 86 on Python 3.14
         done = subprocess.run(
             [sys.executable, "-c", program, str(tmp_path / name)],
             capture_output=True,
