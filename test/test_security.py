@@ -64,7 +64,13 @@ def test_nothing_that_is_read_is_run() -> None:
 def test_nothing_connects_or_listens() -> None:
     found = {name: {each for each in imported(tree) if NETWORK.fullmatch(each)} for name, tree in sources()}
     # This machine's name, for the lock of a folder that several machines see.
-    assert {name: modules for name, modules in found.items() if modules} == {"replay/folder_lock.py": {"socket"}}
+    connected = {name for name, modules in found.items() if modules}
+    # The last three serve pages on 127.0.0.1: `imgu view --web` and `--live`.
+    served = {"view/page_server.py", "view/web_viewer.py", "ros/live_page.py"}
+    assert connected == {"replay/folder_lock.py", *served}
+    assert found["replay/folder_lock.py"] == {"socket"}
+    for name in served:
+        assert 'HOST = "127.0.0.1"' in (PACKAGE / name).read_text() or "import HOST" in (PACKAGE / name).read_text()
     tree = dict(sources())["replay/folder_lock.py"]
     used = {
         node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "socket"

@@ -20,6 +20,7 @@ _DARKEST, _BRIGHTEST = 0.002, 0.998
 _MOST_BRIGHTENING = 8.0
 #: Every so many pixels are looked at: about 128 x 128 of them.
 _SAMPLES = 128
+#: Of full scale: values above it may be clipped, and tell no colour.
 _SATURATED = 0.98
 
 
