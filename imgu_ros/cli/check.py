@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgu_ros.cli.options import add_parameter_options, parameters_of
-from imgu_ros.cli.terminal import say, warn
+from imgu_ros.cli.terminal import say, tell, warn
 
 if TYPE_CHECKING:
     from imgu_ros.config.parameters import Parameters
@@ -61,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     for note in notes:
         warn(note)
     said = [[note.partition(": ")[2] for note in notes if note.startswith(f"{entry}: ")] for entry in entries]
+    if sys.stderr.isatty():
+        tell(f"looking at {len(images)} target{'s' * (len(images) > 1)} in simulated views: ten to thirty seconds each")
     checks = check_targets(images, entries, parameters, camera, said)
     numbers = json.dumps(document(checks, camera, package_version()), indent=1, allow_nan=False) + "\n"
     if arguments.json == Path("-"):
