@@ -25,7 +25,6 @@ from imgu_ros.messages.image import decode_image, image_message
 from imgu_ros.remarks import Remarks
 from imgu_ros.ros.messages import make_message, message_class
 from imgu_ros.ros.middleware import large_message_warnings, profile_line
-from imgu_ros.ros.playback_timing import PlaybackClock
 from imgu_ros.ros.process import init_ros, spare_collector
 from imgu_ros.ros.qos import output_qos, overridable
 from imgu_ros.ros.stopping import StopRequested, StopSignal
@@ -39,6 +38,13 @@ _POLL_S = 0.02
 _REMIND_S = 5.0
 #: A matched writer may still be unknown to the reader, which then drops its messages.
 _SETTLE_S = 0.5
+_SECOND = 10**9
+#: Between the rounds of a file, where nothing says more.
+_USUAL_RATE_HZ = 30.0
+#: Pictures that were taken days apart go out as a camera's frames do all the same.
+_LONGEST_GAP_S = 1.0
+#: A frame that is later is as if it had been taken later.
+_LATE_S = 0.1
 #: Frames of a file that are read ahead, bytes.
 _AHEAD_BYTES = 32_000_000
 
@@ -122,6 +128,10 @@ def is_device(source: str) -> bool:
     return source.isdecimal() or source.startswith("/dev/")
 
 
+def _now_ns() -> int:
+    return round(time.monotonic() * _SECOND)
+
+
 def _size_of(message: BagMessage) -> int:
     return len(getattr(message.message, "data", b""))
 
@@ -191,28 +201,31 @@ class _Driver:
             yield CapturedFrame(stamp_ns, pixels, "bgr8")
 
     def _of_files(self) -> Iterator[CapturedFrame]:
-        """Yield each frame when it is due, stamped evenly: as if the camera had taken it now."""
-        options, last_ns = self._options, 0
+        """Yield each frame when it is due, stamped with that time: as if the camera had taken it now."""
+        options = self._options
+        due, step_s, clock_ns = time.monotonic(), 1 / (options.rate_hz or _USUAL_RATE_HZ), time.time_ns() - _now_ns()
         while True:
+            before_ns: int | None = None
             paths = [Path(source) for source in options.sources]
             with open_bag(paths, limits=options.limits, rate_hz=options.rate_hz) as bag:
-                pace, begun_ns, first_ns = PlaybackClock(1.0), 0, 0
                 with contextlib.closing(Prefetch(bag.messages(), _size_of, _AHEAD_BYTES)) as ahead:
                     for item in ahead:
                         message = item.message
                         if isinstance(message, UnreadableFrame):
                             self._tell([message.reason])
                             continue
-                        self._sleep(pace.earliest(item.time_ns) - time.monotonic())
-                        pace.published(item.time_ns)
-                        if not begun_ns:
-                            begun_ns, first_ns = max(time.time_ns(), last_ns + 1), item.time_ns
-                        last_ns = begun_ns + item.time_ns - first_ns
-                        yield CapturedFrame(last_ns, decode_image(message).pixels, message.encoding)
+                        if before_ns is not None:
+                            step_s = min(1e-9 * (item.time_ns - before_ns), _LONGEST_GAP_S)
+                        # What a hold-up made late is not made up: a camera's frames come evenly.
+                        due = max(due + step_s, time.monotonic() - _LATE_S)
+                        before_ns = item.time_ns
+                        self._sleep(due - time.monotonic())
+                        stamp_ns = clock_ns + round(due * _SECOND)
+                        yield CapturedFrame(stamp_ns, decode_image(message).pixels, message.encoding)
                 self._tell(bag.warnings)
             if not options.loop:
                 return
-            if not begun_ns:
+            if before_ns is None:
                 raise BagError(f"{options.sources[0]}: no frame in it can be read; need at least one")
 
     def _publish(self, frame: CapturedFrame) -> None:

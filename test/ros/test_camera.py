@@ -46,7 +46,9 @@ def test_pictures_go_out_as_a_driver_would_send_them(imgu, peer, world, pictures
     assert "4 frames published" in camera.text
     stamps = [decode_header(message).stamp_ns for message in images]
     assert stamps == [decode_header(message).stamp_ns for message in infos]
-    assert np.diff(stamps).tolist() == [50_000_000] * 3
+    # Where the machine was held up, a frame counts as taken later.
+    assert np.diff(stamps).min() >= 49_999_000
+    assert np.median(np.diff(stamps)) == pytest.approx(50e6, abs=1e3)
     assert abs(stamps[0] * 1e-9 - time.time()) < 60
     for image, info, frame in zip(images, infos, world.frames, strict=True):
         assert (image.header.frame_id, image.encoding) == ("eye", "mono8")
@@ -108,6 +110,26 @@ def test_a_calibration_of_another_size_is_said(imgu, peer, pictures):
     camera = imgu("camera", str(pictures / "other.png"), "--camera-info", str(pictures / "camera.yaml"))
     assert camera.wait() == 0
     assert "of images of 480 x 360 px, not of 64 x 48; need a calibration of these" in camera.text
+
+
+def test_one_picture_again_and_again_comes_at_the_usual_rate(imgu, peer, pictures):
+    peer.hear("/image_raw", IMAGE)
+    camera = imgu("camera", str(pictures / "0.pgm"), "--loop", "--wait-for", "1")
+    peer.wait(lambda: len(peer.heard["/image_raw"]) >= 10, "ten frames")
+    camera.stop()
+    stamps = [decode_header(message).stamp_ns for message in peer.heard["/image_raw"]]
+    assert np.diff(stamps).min() >= 33_000_000
+
+
+def test_pictures_taken_days_apart_do_not_come_days_apart(imgu, peer, world, tmp_path):
+    for day in (1, 2, 3):
+        write_image(tmp_path / f"IMG_2024010{day}_120000.png", world.frames[0].image.pixels)
+    peer.hear("/image_raw", IMAGE)
+    camera = imgu("camera", str(tmp_path), "--wait-for", "1")
+    peer.wait(lambda: len(peer.heard["/image_raw"]) == 3, "three frames")
+    assert camera.wait() == 0
+    stamps = [decode_header(message).stamp_ns for message in peer.heard["/image_raw"]]
+    assert np.diff(stamps).max() < 1.5e9
 
 
 def test_ctrl_c_ends_a_wait(imgu, pictures):
