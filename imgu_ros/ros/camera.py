@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
@@ -38,6 +39,7 @@ _POLL_S = 0.02
 _REMIND_S = 5.0
 #: A matched writer may still be unknown to the reader, which then drops its messages.
 _SETTLE_S = 0.5
+_ACKNOWLEDGE_S, _LINGER_S = 2.0, 0.5
 _SECOND = 10**9
 #: Between the rounds of a file, where nothing says more.
 _USUAL_RATE_HZ = 30.0
@@ -180,7 +182,13 @@ class _Driver:
             frames = self._of_files() if webcam is None else self._of_webcam(webcam)
             for frame in frames:
                 self._publish(frame)
+            self._finish()
         return self._published
+
+    def _finish(self) -> None:
+        """Let subscribers have the last messages before the publishers go."""
+        self._images.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_S))
+        self._sleep(_LINGER_S)  # best-effort subscribers acknowledge nothing
 
     def _wait_for_subscribers(self) -> None:
         remind = time.monotonic() + _REMIND_S

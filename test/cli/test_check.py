@@ -109,6 +109,7 @@ def test_json_has_every_number(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert marker["reasons"] == []
 
 
+@needs_aruco
 def test_a_chessboard_and_a_family(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of a family one marker stands for all; a board is drawn at any size."""
     (tmp_path / "wall.yaml").write_text("chessboard: {columns: 9, rows: 6, square: 0.02}", encoding="utf-8")

@@ -98,8 +98,8 @@ def test_a_damaged_picture_is_said_and_left_out(imgu, peer, pictures):
     (pictures / "1.pgm").write_bytes(b"P5 480 360 255 ")
     peer.hear("/image_raw", IMAGE)
     camera = imgu("camera", str(pictures), "--rate", "20", "--wait-for", "1")
+    peer.wait(lambda: len(peer.heard["/image_raw"]) == 3, "three frames")
     assert camera.wait() == 0
-    peer.spin(0.2)
     assert len(peer.heard["/image_raw"]) == 3
     assert "imgu: warning: 1.pgm" in camera.text
     assert "no --camera-info" in camera.text
