@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 
-from imgu_ros.cli.options import PICTURE_LIMITS, add_parameter_options, parameters_of, picture_rate
+from imgu_ros.cli.options import PICTURE_LIMITS, add_parameter_options, parameters_of, picture_rate, whole_number
 from imgu_ros.cli.terminal import say, tell
 
 HELP = "publish a webcam, a video or pictures as a camera"
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", type=_size, metavar="WxH", help="what to ask of a webcam, px")
     parser.add_argument("--loop", action="store_true", help="start over at the end of videos or pictures, until Ctrl-C")
     parser.add_argument(
-        "--wait-for", type=_count, default=0, metavar="N",
+        "--wait-for", type=whole_number, default=0, metavar="N",
         help="start when the image topic has N subscribers (default 0: at once, as a camera does)",
     )  # fmt: skip
     add_parameter_options(parser, PICTURE_LIMITS)
@@ -75,9 +75,3 @@ def _size(text: str) -> tuple[int, int]:
     if not (separator and width.isdecimal() and height.isdecimal() and 0 < int(width) < 65536 > int(height) > 0):
         raise argparse.ArgumentTypeError(f"{text!r}; need WIDTHxHEIGHT in px, such as 1280x720")
     return int(width), int(height)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}; need a whole number, 0 or more")
-    return int(text)

@@ -76,6 +76,17 @@ def input_path(text: str) -> Path:
     return Path(text)
 
 
+def whole_number(text: str) -> int:
+    """Return a number of things, 0 or more."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r}; need a whole number, 0 or more")
+    return value
+
+
 def picture_rate(text: str) -> float:
     """Return the value of `--rate`: pictures a second."""
     try:

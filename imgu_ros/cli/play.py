@@ -10,7 +10,7 @@ import argparse
 import math
 from pathlib import Path
 
-from imgu_ros.cli.options import BAG_LIMITS, add_parameter_options, parameters_of
+from imgu_ros.cli.options import BAG_LIMITS, add_parameter_options, parameters_of, whole_number
 from imgu_ros.cli.terminal import say, tell
 
 HELP = "publish a bag on live topics"
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", type=_not_negative, default=0.0, metavar="S", help="leave out the first S seconds")
     parser.add_argument("--duration", type=_positive, metavar="S", help="play S seconds of the recording")
     parser.add_argument(
-        "--wait-for", type=_count, default=0, metavar="N",
+        "--wait-for", type=whole_number, default=0, metavar="N",
         help="start when the image topics have N subscribers in all (default 0: start after at most a second)",
     )  # fmt: skip
     parser.add_argument("--timeout", type=_positive, metavar="S", help="give up waiting after S seconds")
@@ -84,13 +84,3 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def _count(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text!r}; need a whole number, 0 or more")
-    return value

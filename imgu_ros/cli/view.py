@@ -62,6 +62,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.live == (arguments.results is not None):
         fail("view: need RESULTS, the folder that `imgu replay` wrote, or --live")
         return 2
+    others = ("recording", "out") if arguments.live else ("port", "ros_args")
+    useless = next((name for name in others if getattr(arguments, name)), None)
+    if useless:
+        fail(
+            f"--{useless.replace('_', '-')}: {'of RESULTS, not of --live' if arguments.live else 'of --live, not of RESULTS'}; need it left out"
+        )
+        return 2
     return _live(arguments) if arguments.live else _of_results(arguments)
 
 

@@ -18,7 +18,7 @@ from imgu_ros.bags.frame_files import InputKind, UnreadableFrame, recording_file
 from imgu_ros.bags.prefetch import Prefetch
 from imgu_ros.bags.reading import BagMessage, open_bag
 from imgu_ros.config.parameters import DEFAULT_LIMITS, LimitsParameters
-from imgu_ros.errors import BagError, FileError
+from imgu_ros.errors import BagError, FileError, ParameterError
 from imgu_ros.files.camera_info_file import read_camera_info
 from imgu_ros.messages.camera_info import camera_info_message
 from imgu_ros.messages.header import Header
@@ -103,10 +103,14 @@ def run_camera(
     BagError, FileError
         If there is no such webcam, or the files or the calibration cannot be read.
     ParameterError
-        If the ROS arguments cannot be parsed.
+        If the ROS arguments cannot be parsed, or an option is not for the source.
     """
     camera = read_camera_info(options.camera_info) if options.camera_info else None
     is_webcam = len(options.sources) == 1 and is_device(options.sources[0])
+    if is_webcam and options.loop:
+        raise ParameterError("--loop: for a webcam, which has no end; need videos or pictures")
+    if not is_webcam and options.size is not None:
+        raise ParameterError("--size: for files, which have their own; need a webcam")
     webcam = Webcam(options.sources[0], options.size, options.rate_hz) if is_webcam else None
     try:
         if webcam is None:

@@ -144,6 +144,8 @@ def test_ctrl_c_ends_a_wait(imgu, pictures):
     ("arguments", "said"),
     [
         (["/dev/video77"], "camera /dev/video77: cannot be opened"),
+        (["0", "--loop"], "--loop: for a webcam, which has no end"),
+        (["gone.mp4", "--size", "640x480"], "--size: for files, which have their own"),
         (["gone.mp4"], "gone.mp4: No such file or directory"),
         (["gone"], "gone: No such file or directory; need a webcam"),
         ([__file__], "no video and no picture; need one, or `imgu play` for a bag"),

@@ -108,19 +108,33 @@ def test_a_port_that_is_taken(capsys):
     assert f"port {port}: Address already in use; need a free one" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [[], ["results", "--live"], ["--live", "--port", "70000"], ["--live", "--web"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["results", "--live"],
+        ["--live", "--port", "70000"],
+        ["--live", "--web"],
+        ["results", "--port", "9000"],
+        ["--live", "--out", "x.rrd"],
+    ],
+)
 def test_wrong_usage(capsys, arguments):
     assert main(["view", *arguments]) == 2
     assert "--live" in capsys.readouterr().err
 
 
 def test_a_live_node_is_seen_and_ctrl_c_ends_it_while_a_page_is_open(imgu, peer, world, make_camera):
-    view = imgu("view", "--live", "--port", "18765")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"http://127.0.0.1:{port}"
+    view = imgu("view", "--live", "--port", str(port))
     view.wait_for_line("shows /debug_image/compressed")
     imgu("node", "perception", *world.arguments, "-r", "image_raw:=/cam/image_raw")
     camera = make_camera(peer)
     camera.wait_for_node()
-    with urllib.request.urlopen("http://127.0.0.1:18765/frames", timeout=60) as stream:
+    with urllib.request.urlopen(f"{address}/frames", timeout=60) as stream:
         read = parts(stream)
         for frame in world.frames:
             camera.send(frame)
@@ -128,8 +142,8 @@ def test_a_live_node_is_seen_and_ctrl_c_ends_it_while_a_page_is_open(imgu, peer,
         _, content = next(read)
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         assert pixels.shape == (360, 480, 3)
-        peer.wait(lambda: json.loads(got("http://127.0.0.1:18765/state"))["targets"], "the status")
-        ((name, level, text),) = json.loads(got("http://127.0.0.1:18765/state"))["targets"]
+        peer.wait(lambda: json.loads(got(f"{address}/state"))["targets"], "the status")
+        ((name, level, text),) = json.loads(got(f"{address}/state"))["targets"]
         assert (name, level) == ("poster", 0)
         assert "metric" in text
         assert view.stop() < 5
