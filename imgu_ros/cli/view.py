@@ -65,9 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     others = ("recording", "out") if arguments.live else ("port", "ros_args")
     useless = next((name for name in others if getattr(arguments, name)), None)
     if useless:
-        fail(
-            f"--{useless.replace('_', '-')}: {'of RESULTS, not of --live' if arguments.live else 'of --live, not of RESULTS'}; need it left out"
-        )
+        owner = "of RESULTS, not of --live" if arguments.live else "of --live, not of RESULTS"
+        fail(f"--{useless.replace('_', '-')}: {owner}; need it left out")
         return 2
     return _live(arguments) if arguments.live else _of_results(arguments)
 
